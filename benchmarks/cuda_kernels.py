@@ -112,7 +112,7 @@ def satellites(num: int, multiple_of: int = 8, num_clocks: int = 1) -> dop.Geome
 
 
 BLOCK, GROWN = (LARGE, LARGE), (LARGE + 2, LARGE + 2)
-WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1], 1)
+WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1])
 VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
 
 NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
@@ -232,18 +232,16 @@ def region(num_times: int = 1) -> tuple[at_once.MapInputs, visibility.SkyView]:
     """Return what a device makes all maps of a region of 8 M cells of: sides and satellites are rounded up."""
     made, sky = inputs()
     people = ("block", "population")
-    first_cell = np.array([MARGIN, MARGIN], np.int32)
-    rounded = replace(made.surface, block=None, has_data=array(*SURFACE, dtype=bool))
+    surface = replace(made.surface, block=None, has_data=array(*SURFACE, dtype=bool))
     settings = {name: values for name, values in made.settings.items() if name not in people}
     ready = {name: values for name, values in made.ready.items() if name not in people}
-    placed = replace(rounded, first_cell=first_cell)
     one = visibility.SkyView(
         lines_over(SURFACE, ROUNDED), satellites(NUM_SATELLITES, ROUNDED), sky.num
     )
     skies = jax.tree.map(
         lambda values: np.stack([np.asarray(values)] * num_times), one._replace(num=NUM_SATELLITES)
     )
-    return replace(made, surface=placed, settings=settings, ready=ready), skies
+    return replace(made, surface=surface, settings=settings, ready=ready), skies
 
 
 WALKS = rays.Walks(*[array(rays.RAYS_A_TURN)] * 5)
@@ -278,9 +276,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
         ),
     ),
     "shadows: words": lambda: Call(
-        sweep.visible_words,
-        (array(*SURFACE), array(4, 1, 1), lines(), WHOLE, (WHOLE, WHOLE)),
-        {"shape": REGION},
+        sweep.visible_words, (array(*SURFACE), array(4, 1, 1), lines(), WHOLE), {"window": WINDOW}
     ),
     "obstacle": lambda: Call(surface._stand_at, (array(*REGION), ALTITUDES_M)),
     "risk": lambda: Call(

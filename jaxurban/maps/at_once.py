@@ -11,7 +11,7 @@ like size. While the device works, the host makes what it alone can, and keeps t
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -39,6 +39,7 @@ from jaxurban.settings import SLABS
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import OF_REGION, Surface, obstacle_mask
 
+Window = tuple[slice, slice]  # rows and columns of a region
 # Cells x times from which a GPU makes maps: fewer take 16 cores less than 1.5 s, and compiling takes longer.
 LEAST_CELLS = 2**22
 SIDE_BITS = 6  # of a rounded side, at most 1/32 longer: a tile's and then its grid's add 13 % of the cells at most
@@ -126,20 +127,19 @@ def _made_ready(task: MapTask, surface: Surface, metrics: Iterable[Metric]) -> M
     return MapInputs(surface, altitudes_m, ready, settings, tuple(fixed.items()))
 
 
-def skies_of(task: MapTask, surface: Surface, multiple_of: int = 1) -> SkyView:
+def skies_of(task: MapTask, surface: Surface) -> SkyView:
     """Return the skies of all times of a task over its surface, every field stacked along the times ``[T, ...]``.
 
     The sky of one time is ``jax.tree.map(lambda values: values[t], views)``; ``jax.vmap(all_maps, (None, 0))`` maps
-    over all of them. Times with fewer satellites in view than others get satellites without effect.
+    over all of them. Satellites without effect round their number up to one for all times, a multiple of `TOGETHER`.
 
     Args:
       task: whose sky and clocks count.
       surface: the task's, from `inputs_of`.
-      multiple_of: to which the number of satellites is rounded up.
     """
     skies = [task.in_view(t) for t in range(task.num_times)]
     most = max(1, *(len(in_view.numbers) for in_view in skies))  # satellites at a time
-    most = rounded_up(most, multiple_of)
+    most = rounded_up(most, TOGETHER)
     views = [SkyView.of(surface, *in_view.angles, most, in_view.clocks) for in_view in skies]
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
 
@@ -240,24 +240,23 @@ def region_maps(inputs: MapInputs, skies: SkyView, keeps_times: bool) -> dict[st
         is_float = jnp.issubdtype(values.dtype, jnp.floating)
         return jnp.where(is_obstacle, jnp.nan, values) if is_float else values
 
-    def of_time(_: None, sky: SkyView) -> tuple[None, dict[str, Array]]:
+    def of_time(sky: SkyView) -> dict[str, Array]:
         """Return the maps of one time, for statistics m alone."""
         maps = all_maps(replace(inputs, fixed=()), sky)
         names = maps.keys() - {"obstacle"} if keeps_times else inputs.settings
-        return None, {name: kept(maps[name]) for name in names}
+        return {name: kept(maps[name]) for name in names}
 
-    _, by_time = lax.scan(of_time, None, skies)
+    by_time = lax.map(of_time, skies)
     maps = jax.tree.map(kept, still)
     if keeps_times:
         return maps | by_time
     threshold = inputs.settings["gps"].availability_threshold
     for name, m in by_time.items():
-        is_free = ~jnp.isnan(m)
-        whole = jnp.where(is_free, jnp.rint(m * SCALE), 0).astype(jnp.int32)
+        whole = jnp.nan_to_num(jnp.rint(m * SCALE)).astype(jnp.int32)
         maps[f"{name}_sums"] = jnp.sum(whole, axis=-1)
         ordered = jnp.sort(jnp.moveaxis(m, 0, -1))
         for what, values in statistics_of_ordered(ordered, ordered > threshold).items():
-            maps[f"{name}_{what}"] = jnp.where(is_free[0], values, jnp.nan)
+            maps[f"{name}_{what}"] = jnp.where(jnp.isnan(m[0]), jnp.nan, values)
     return maps
 
 
@@ -277,26 +276,28 @@ def _made_at_once(task: MapTask) -> list[Metric]:
     return [each for each in metrics if each.traced is not None and TIME_OF_DAY not in each.dims]
 
 
-def shape_around(task: MapTask, tiles: Iterable[Grid]) -> list[int]:
-    """Return the rows and columns that hold each of equal tiles with all that can shadow it, for `tile_at_once`."""
-    shapes = [task.with_margin(_rounded(tile)).shape for tile in tiles]
-    return np.max(shapes, axis=0).tolist()
+def _rounded(side: int) -> int:
+    """Return one of the few lengths to which sides of arrays are rounded up, in cells."""
+    return rounded_up(side, 1 << max(0, side.bit_length() - SIDE_BITS))
 
 
-def _rounded(grid: Grid, least: Sequence[int] = (0, 0)) -> Grid:
-    """Return a grid that has grown in the south and the east to sides of few lengths, and to at least a shape."""
-    south, east = (
-        rounded_up(most, 1 << max(0, most.bit_length() - SIDE_BITS)) - side
-        for side, most in zip(grid.shape, map(max, grid.shape, least), strict=True)
-    )
-    return grid.padded(0, south, east, 0)
+def _grown(task: MapTask, tile: Grid) -> tuple[Grid, Grid]:
+    """Return a tile, grown in the south and the east, and the same with all that can shadow it; of few shapes.
+
+    The margin is as wide in the west as in the east, and in the south as in the north: so one program serves all skies.
+    """
+    num_rows, num_cols = map(_rounded, tile.shape)
+    region = tile.padded(0, num_rows - tile.num_rows, num_cols - tile.num_cols, 0)
+    beyond_m = np.abs(np.subtract(task.with_margin(tile).bounds_m, tile.bounds_m))
+    margin = round(beyond_m.max() / tile.resolution_m)
+    down, across = ((_rounded(side + 2 * margin) - side) // 2 for side in region.shape)
+    return region, region.padded(across, down, across, down)
 
 
 def tile_at_once(
     task: MapTask,
     tile: Grid,
-    window: tuple[slice, slice],
-    around: Sequence[int],
+    window: Window,
     stage: Stage,
     device_bytes: float = math.inf,
 ) -> TileScene | None:
@@ -308,28 +309,25 @@ def tile_at_once(
       task: what the maps are made of.
       tile: a part of the region, whose northwest corner is that of its window.
       window: rows and columns of the region that it reports.
-      around: from `shape_around`.
       stage: gives the context that the work on each stage runs in.
       device_bytes: what the maps may take of the device's memory.
     """
-    region = _rounded(tile)
     with stage("surface"):
-        surface: Any = task.surface(region, _rounded(task.with_margin(region), around))
+        surface: Any = task.surface(*_grown(task, tile))
 
     # Nothing is known, nor counted, of cells beyond the window.
     rows, cols = window
-    own = slice(rows.start - rows.stop, None), slice(cols.stop - cols.start)
     has_data: Any = np.zeros(surface.grid.shape, bool)
-    known = surface.crop(has_data)[own]  # a view
-    known[:] = True if surface.has_data is None else surface.crop(surface.has_data)[own]
+    surface.crop(has_data)[rows.start - rows.stop :, : cols.stop - cols.start] = True
+    if surface.has_data is not None:
+        has_data &= surface.has_data
     surface = replace(surface, has_data=has_data)
 
     unread: dict[str, Any] = dict.fromkeys(("block", *OF_REGION))
-    placed = replace(surface, first_cell=np.array(surface.corner, np.int32), **unread)
-    inputs = _made_ready(task, placed, _made_at_once(task)), skies_of(task, placed, TOGETHER)
+    metrics = _made_at_once(task)
+    inputs = _made_ready(task, replace(surface, **unread), metrics), skies_of(task, surface)
     arguments = jax.device_put(inputs, jax.local_devices()[0])
-    with stage("compile"):
-        program = region_maps.lower(*arguments, keeps_times=task.keeps_times).compile()
+    program = region_maps.lower(*arguments, keeps_times=task.keeps_times).compile()
     held: Any = program.memory_analysis()
     fixed_bytes = held.argument_size_in_bytes + held.output_size_in_bytes
     if fixed_bytes + held.temp_size_in_bytes > device_bytes:
@@ -337,4 +335,4 @@ def tile_at_once(
     made = program(*arguments)
     for values in made.values():
         values.copy_to_host_async()
-    return TileScene(task, surface, made=made)
+    return TileScene(task, surface, of_device=metrics, made=made)

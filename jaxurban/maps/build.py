@@ -1,8 +1,10 @@
 """build_maps: a city and a sky in, the metric maps of a region out; and map_inputs, what `all_maps` makes them of."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -17,9 +19,9 @@ from jaxurban.kernels.engine import Engine, on_host, warn_of_jax
 from jaxurban.knowledge import Guesses, GuessKind, guessed, guesses_to, warn_of
 from jaxurban.maps.at_once import (
     MapInputs,
+    Window,
     free_device_bytes,
     inputs_of,
-    shape_around,
     skies_of,
     tile_at_once,
 )
@@ -29,7 +31,7 @@ from jaxurban.maps.params import PAPER_ALTITUDES_M, MapParams
 from jaxurban.maps.recipe import tile_maps
 from jaxurban.maps.task import MapTask, empty_dataset, with_series
 from jaxurban.maps.tile_scene import TileScene
-from jaxurban.maps.tiled import Tiling, Window
+from jaxurban.maps.tiled import Tiling
 from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Dop, Gps
 from jaxurban.metrics.lidar import Lidar
@@ -253,14 +255,14 @@ def compute_maps(
     device_bytes = device_bytes or free_device_bytes(task)
     with on_host():
         if device_bytes is None:
-            whole = slice(0, task.region.num_rows), slice(0, task.region.num_cols)
-            tiles = iter([(whole, TileScene(task, surface or task.surface()))])
+            tiles: Iterable[Any] = [(..., TileScene(task, surface or task.surface()))]
         else:
             tiles = _tiles_at_once(task, device_bytes, stage)
-        for (rows, cols), tile in tiles:
-            num_rows, num_cols = rows.stop - rows.start, cols.stop - cols.start
+        for window, tile in tiles:
             for name, place, values in tile_maps(tile, stage):
-                ds[name].values[place][rows, cols] = values[-num_rows:, :num_cols]
+                target = ds[name].values[place][window]
+                num_rows, num_cols = target.shape
+                target[:] = values[-num_rows:, :num_cols]
             add_totals(totals, tile.totals)
     base = task.city.sources.get("buildings")
     return MetricMaps(ds if task.keeps_times else with_series(ds, task, totals), base=base)
@@ -276,19 +278,15 @@ def _tiles_at_once(
     """
     for shape in (task.region.shape, shape_of_tiles(task)):
         tiling = Tiling.over(task.region, task.region, shape)
-        tiles = [(tiling.reported(tile), tiling.grid_of(tile)) for tile in tiling.region_tiles]
-        around = shape_around(task, [grid for _, grid in tiles])
-        num_bytes = device_bytes / min(2, len(tiles))  # of a tile and of the one before
-        before = None
-        for window, grid in tiles:
-            begun = tile_at_once(task, grid, window, around, stage, num_bytes)
-            if begun is None:
-                break
-            if before is not None:
-                yield before
-            before = window, begun
-        if before is not None:
-            yield before
+        windows = list(map(tiling.reported, tiling.region_tiles))
+        grids = list(map(tiling.grid_of, tiling.region_tiles))
+        num_bytes = device_bytes / min(2, len(grids))  # of a tile and of the one before
+        begin = partial(tile_at_once, task, stage=stage, device_bytes=num_bytes)
+        begun: Iterator[Any] = zip(windows, map(begin, grids, windows), strict=True)
+        first = next(begun)
+        if first[1] is not None:
+            for tile, _ in pairwise(chain([first], begun, [first])):
+                yield tile
             return
     raise InputError(
         f"the maps of a tile need more of the GPU's memory than the {format_bytes(device_bytes)} that are free: end "

@@ -76,7 +76,7 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     others = [metric for metric in task.metrics.values() if metric not in of_sky]
     for metric in of_sky:
         make = _maps if task.keeps_times else _statistics
-        if not tile.is_made(metric):
+        if metric not in tile.of_device:
             yield from _staged(make(tile, metric), stage, metric.name)
         if task.has_bounds(metric):
             yield from _staged(_bounds(tile, metric), stage, f"{metric.name}_bounds")
@@ -84,7 +84,7 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     tile.forget()
 
     for metric in others:
-        if not tile.is_made(metric):
+        if metric not in tile.of_device:
             yield from _staged(_maps(tile, metric), stage, metric.name)
     if task.params.heights.height_samples:
         yield from _staged(_height_spread(tile), stage, "height_spread")
@@ -123,9 +123,9 @@ def _made(tile: TileScene) -> Iterator[MapLayer]:
         values = np.asarray(on_device)
         metric, _, what = name.rpartition("_")
         if what == "sums":
-            is_free = np.isfinite(tile.made[f"{metric}_median"])
             sums = values.sum(axis=-1, dtype=np.int64)
-            tile.totals[metric] = TimeTotals(sums, is_free.sum(axis=(1, 2)))
+            is_counted = ~np.isnan(tile.made[f"{metric}_median"])
+            tile.totals[metric] = TimeTotals(sums, is_counted.sum(axis=(1, 2)))
             continue
         for place in np.ndindex(values.shape[:-2]):
             yield MapLayer(name, place, values[place])

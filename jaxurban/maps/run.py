@@ -25,7 +25,7 @@ from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
 from jaxurban.kernels.engine import num_cores, warn_of_jax
 from jaxurban.knowledge import guesses_to, warn_of
-from jaxurban.maps.at_once import free_device_bytes, shape_around
+from jaxurban.maps.at_once import free_device_bytes
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.executors import cluster_client, work_in_threads, work_on_cluster
 from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
@@ -386,10 +386,7 @@ def _renew_geotiffs(
 
 
 def make_zarr(
-    run: RunContext,
-    report: Report,
-    shape: tuple[int, int] | None = None,
-    is_at_once: bool | None = None,
+    run: RunContext, report: Report, shape: tuple[int, int] | None = None
 ) -> dict[str, float]:
     """Make the Zarr of one resolution tile by tile and return the seconds that all workers spent on each stage.
 
@@ -397,8 +394,6 @@ def make_zarr(
       run: what the maps are made of and where they go.
       report: gets how many tiles are done.
       shape: how many rows and columns of cells a tile has; left out, as of `shape_of_tiles`.
-      is_at_once: whether JAX's first device, a CPU too, makes the maps of each tile at once; left out, whether it is a
-        GPU and the region large.
 
     Raises:
       InputError: rasters without data in the region, or workers that are killed again and again.
@@ -416,10 +411,7 @@ def make_zarr(
     work = WorkFolder(stored.work_path(run.folder.resolve(), grid.resolution_m))
     for path in work.begin(f"{run.key} {shape}", run.map):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
-    if is_at_once is None:
-        is_at_once = free_device_bytes(task) is not None
-    tiles = map(tiling.grid_of, tiling.region_tiles)
-    job = TileJob(task, work, tiling, shape_around(task, tiles) if is_at_once else None)
+    job = TileJob(task, work, tiling, is_at_once=free_device_bytes(task) is not None)
     attrs = {RUN_KEY: run.key, "guesses": guesses_to(task.guesses)}
     empty = empty_dataset(task, _no_values).assign_attrs(attrs)
     if work.done(ZARR) is None:

@@ -1,6 +1,6 @@
 """TileScene: a tile of a task, and what its metrics may use of it, place by place."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -28,23 +28,21 @@ class TileScene:
       surface: roofs, terrain and blocks of the tile (``surface.region``) and of what its metrics look at around it.
       rings: the shadows that the tiles around hand on, by time and satellite; None where the surface itself holds all
         roofs that can shadow the tile.
-      made: the maps that a device has begun to make (`jaxurban.maps.at_once.region_maps`); the host makes all others.
+      of_device: the metrics that a device has begun to make; the host makes all others.
+      made: their maps, as `jaxurban.maps.at_once.region_maps` gives them.
       totals: the tile's sums over free cells by metric, where statistics over time are kept; `tile_maps` fills it.
     """
 
     task: MapTask
     surface: Surface
     rings: Mapping[tuple[int, int], Ring] | None = None
+    of_device: Sequence[Metric] = ()
     made: Mapping[str, Any] = field(default_factory=dict)
     totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
     _words: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
     _surfaces: dict[float, tuple[Surface, Surface | None]] = field(
         default_factory=dict, init=False, repr=False
     )
-
-    def is_made(self, metric: Metric) -> bool:
-        """Return whether a device makes a metric, or its statistics over times."""
-        return not self.made.keys().isdisjoint([metric.name, f"{metric.name}_median"])
 
     @cached_property
     def is_obstacle(self) -> np.ndarray:

@@ -19,7 +19,7 @@ from jaxurban.io.store import write_layer
 from jaxurban.kernels.engine import on_host
 from jaxurban.kernels.shadows.blocks import hand_on
 from jaxurban.kernels.shadows.sweep import Ring
-from jaxurban.maps.at_once import tile_at_once
+from jaxurban.maps.at_once import Window, tile_at_once
 from jaxurban.maps.recipe import tile_maps
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tile_scene import TileScene
@@ -29,7 +29,6 @@ from jaxurban.settings import SLABS
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import OF_REGION, ROOFS, Slabs, Surface
 
-Window = tuple[slice, slice]  # rows and columns
 Tile = tuple[int, int]  # row and column of a tile in its tiling, the southwest one first
 # 1 or -1 each: the source stands in the north (1) or south, in the east (1) or west.
 Quadrant = tuple[int, int]
@@ -207,14 +206,13 @@ class TileJob:
       task: what the maps are made of.
       work: where steps leave their results for each other.
       tiling: the tiles.
-      around: rows and columns of a tile with all that can shadow it, where a device makes each tile's maps at once
-        (`jaxurban.maps.at_once.shape_around`).
+      is_at_once: whether a device makes each tile's maps at once (`jaxurban.maps.at_once`).
     """
 
     task: MapTask
     work: WorkFolder
     tiling: Tiling
-    around: Sequence[int] | None = None
+    is_at_once: bool = False
 
     @cached_property
     def order(self) -> dict[Quadrant, list[tuple[int, int]]]:
@@ -380,14 +378,7 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     window = job.tiling.reported(tile)
     checksums: dict[str, str] = {}
     with on_host():
-        if job.around is None:
-            scene = _after_others(job, tile, watch.stage)
-        else:
-            grid = job.tiling.grid_of(tile)
-            begun = tile_at_once(job.task, grid, window, job.around, watch.stage)
-            assert begun is not None  # as of `jaxurban.maps.memory.plan_run`
-            scene = begun
-
+        scene = _scene(job, tile, window, watch.stage)
         # The maps, each written when it is made.
         for layer in tile_maps(scene, watch.stage):
             with watch.stage("write_zarr"):
@@ -401,8 +392,12 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     return {**facts, "seconds": watch.elapsed_s}
 
 
-def _after_others(job: TileJob, tile: Tile, stage: Stage) -> TileScene:
-    """Return a tile with what the tiles around have left for it."""
+def _scene(job: TileJob, tile: Tile, window: Window, stage: Stage) -> TileScene:
+    """Return a tile of which a device makes the maps, or one with what the tiles around have left for it."""
+    if job.is_at_once:
+        scene = tile_at_once(job.task, job.tiling.grid_of(tile), window, stage)
+        assert scene is not None  # as of `jaxurban.maps.memory.plan_run`
+        return scene
     with stage("surface"):
         surface = _surface(job, tile)
     with stage("gps"):

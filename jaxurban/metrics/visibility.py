@@ -115,9 +115,10 @@ def visible_words(
       sky: the satellites over this surface.
     """
     surface = surface.of_hiding()
+    rows, cols = surface.window
+    window = rows.start, rows.stop, cols.start, cols.stop
     height_m = _heights(surface.crop(surface.terrain_m), altitudes_m)
-    receivers = surface.corner, surface.region.shape
-    return sweep.visible_words(surface.top_m, height_m, sky.lines, sky.num, *receivers)
+    return sweep.visible_words(surface.top_m, height_m, sky.lines, sky.num, window=window)
 
 
 def _heights(ground_m: AnyArray | None, altitudes_m: AnyArray) -> AnyArray:

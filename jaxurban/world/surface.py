@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, DTypeLike, Float, Int, UInt8
 
@@ -36,7 +35,6 @@ RASTERS = (
     "roof_kind",
     "hiding_m",
     "returning_m",
-    "first_cell",
 )
 
 OF_REGION = ("roof_touched_m", "roof_guessed", "roof_limit_m", "roof_likely_m", "roof_kind")
@@ -183,8 +181,6 @@ class Surface:
         from 1 on, 0 for nothing; None where nothing but buildings stands.
       hiding_m, returning_m: as ``roof_m``, of what hides satellites, and of what returns a lidar's beam; None where
         that is all that stands.
-      first_cell: row and column of the region's southwest cell in ``grid``, where one program is to serve every such
-        place; the grids then do not say it. None where they do.
     """
 
     roof_m: Float[Array, "Y X"]
@@ -202,7 +198,6 @@ class Surface:
     roof_kind: UInt8[Array, "y x"] | None = None
     hiding_m: Float[Array, "Y X"] | None = None
     returning_m: Float[Array, "Y X"] | None = None
-    first_cell: Int[AnyArray, "2"] | None = None
 
     def tree_flatten(self) -> tuple[tuple, Frame]:
         """Return the rasters, which JAX may trace, and what decides a program."""
@@ -210,7 +205,7 @@ class Surface:
         frame = Frame(
             self.grid.resolution_m,
             self.grid.shape,
-            first_cell=(rows.start, cols.start) if self.first_cell is None else (0, 0),
+            first_cell=(rows.start, cols.start),
             region_shape=self.region.shape,
             most_halo=self.most_halo,
         )
@@ -300,13 +295,6 @@ class Surface:
         """Slices that cut the region out of arrays on ``grid``."""
         return self.region.window_in(self.grid)
 
-    @property
-    def corner(self) -> tuple[Any, Any]:
-        """Row and column of the region's southwest cell in arrays on ``grid``; may be traced."""
-        rows, cols = self.window
-        first = (rows.start, cols.start) if self.first_cell is None else self.first_cell
-        return first[0], first[1]
-
     def crop(self, values: Any) -> Any:
         """Return the region's part of an array whose last two axes are on ``grid``; None of None."""
         return self.part(values)
@@ -339,9 +327,6 @@ class Surface:
         self.check_reach(halo if reach is None else reach)
         if values is None:
             return None
-        if self.first_cell is not None:
-            shape = [size + 2 * halo for size in self.region.shape]
-            return lax.dynamic_slice(jnp.pad(values, halo), self.corner, shape)
 
         # Along each axis of the grid: the cells that the surface has, and how many 0 must stand before and after them.
         slices = []

@@ -14,7 +14,7 @@ stands within that of a shadow's edge.
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,8 +35,7 @@ TOGETHER = 4
 
 NORTH, SOUTH, EAST, WEST = range(4)
 Shape = tuple[int, int]  # rows and columns of a grid
-# First and end row, first and end column, and of how many cells one is kept.
-Window = tuple[int, int, int, int, int]
+Window = tuple[int, int, int, int]  # first and end row, first and end column
 
 
 class Line(NamedTuple):
@@ -193,16 +192,8 @@ def sweep(raised_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
     )
 
 
-def within(raised_m: Array, ring: Ring) -> Array:
-    """Return a grid inside the ring of one cell that its neighbours hand on, ``[Y + 2, X + 2]``."""
-    rows = jnp.concatenate([ring.west[:, None], raised_m, ring.east[:, None]], axis=1)
-    return jnp.concatenate([ring.south[None], rows, ring.north[None]])
-
-
 @jax.jit
-def shadow_height(
-    top_m: Float[Array, "Y X"], line: Line, ring: Ring | None = None
-) -> Float[Array, "Y X"]:
+def shadow_height(top_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
     """Return the height below which each cell's centre does not see the source, ``[Y, X]``.
 
     ``S = max over the cells on the ray of (top - run x tan(elevation))``, the cell itself left out:
@@ -218,13 +209,14 @@ def shadow_height(
 
     Args:
       top_m: absolute height of roofs and bare ground, row 0 in the south.
-      line: from `digital_line`, for the same shape; with a ring, for the grid grown by one cell on each side.
-      ring: what the grids around this one hand on; left out, nothing stands there.
+      line: from `digital_line`, for the same shape.
     """
-    raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
-    if ring is None:
-        return sweep(raised_m, line)
-    return sweep(within(raised_m, ring), line)[1:-1, 1:-1]
+    return sweep(_raised(top_m, line), line)
+
+
+def _raised(top_m: Array, line: Line) -> Array:
+    """Return tops, raised by what a line gains before it meets them."""
+    return top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
 
 
 def num_passes(num_steps: float) -> int:
@@ -291,13 +283,7 @@ def shadow_heights_at_once(
       lines: of all directions, fields stacked along ``S``.
       passes: from `num_passes`; what stands farther shadows nothing.
     """
-
-    def cast(line: Line) -> Array:
-        """Return the shadow's height toward one satellite, ``[Y, X]``."""
-        raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
-        return doubled(raised_m, line, passes)
-
-    return jax.vmap(cast)(lines)
+    return jax.vmap(lambda line: doubled(_raised(top_m, line), line, passes))(lines)
 
 
 def shadow_heights(
@@ -312,7 +298,7 @@ def shadow_heights(
     Args:
       top_m: absolute height of roofs and bare ground, row 0 in the south.
       lines: lines of all satellites over this grid, fields stacked along ``S``.
-      window: first and end row, first and end column, and n: every n-th cell of these is kept, from n // 2 on.
+      window: first and end row, first and end column.
     """
     forms = (partial(form, window=window) for form in (heights_by_sweep, heights_by_doubling))
     by_sweep, by_doubling = (jax.checkpoint(form) for form in forms)
@@ -333,20 +319,17 @@ def heights_by_doubling(top_m: Array, lines: Line, window: Window) -> Array:
 
 
 def _kept(window: Window) -> tuple[slice, slice]:
-    first_row, end_row, first_col, end_col, every = window
-    return slice(first_row + every // 2, end_row, every), slice(
-        first_col + every // 2, end_col, every
-    )
+    return slice(*window[:2]), slice(*window[2:])
 
 
-@partial(jax.jit, static_argnames="shape")
+@partial(jax.jit, static_argnames="window")
 def visible_words(
     top_m: Float[Array, "Y X"],
     height_m: Float[Array, "A ..."],
     lines: Line,
     num: Int[Array, ""],
-    corner: tuple[Any, Any],
-    shape: Shape,
+    *,
+    window: Window,
 ) -> UInt[Array, "W A y x"]:
     """Return visibility words: satellite ``s``, bit ``s % 32`` of word ``s // 32``, is seen where no shadow reaches.
 
@@ -355,50 +338,45 @@ def visible_words(
       height_m: ``[A, y, x]`` absolute height of the receivers, or ``[A, 1, 1]``.
       lines: of all satellites, fields stacked along ``S``.
       num: number of satellites; the lines behind them fill up, and are never seen.
-      corner: row and column of the southwest receiver's cell; may be traced.
-      shape: rows and columns of receivers, one in every cell.
+      window: of the receivers, as for `shadow_heights`.
     """
-    by_sweep, by_doubling = (
-        partial(form, shape=shape) for form in (words_by_sweep, words_by_doubling)
-    )
-    arguments = top_m, height_m, lines, num, corner
-    return lax.platform_dependent(*arguments, cpu=by_sweep, default=by_doubling)
+    by_sweep = partial(words_by_sweep, window=window)
+    by_doubling = partial(words_by_doubling, window=window)
+    return lax.platform_dependent(top_m, height_m, lines, num, cpu=by_sweep, default=by_doubling)
 
 
-def words_by_sweep(
-    top_m: Array, height_m: Array, lines: Line, num: Array, corner: tuple, shape: Shape
-) -> Array:
+def words_by_sweep(top_m: Array, height_m: Array, lines: Line, num: Array, window: Window) -> Array:
     """Return `visible_words`, by the form for a CPU: satellite by satellite; the lines that fill up are left out."""
+    kept = _kept(window)
 
     def mark(number: Array, words: Array) -> Array:
         """Add the bit of one satellite to the words ``[W, A, y, x]``; every bit is added once, so adding sets it."""
         line = jax.tree.map(lambda values: values[number], lines)
-        shadow_m = lax.dynamic_slice(shadow_height(top_m, line), corner, shape)
-        bit = (shadow_m[None] <= height_m).astype(jnp.uint32)
-        return words.at[number // WORD_BITS].add(bit << (number % WORD_BITS).astype(jnp.uint32))
+        seen = shadow_height(top_m, line)[None, *kept] <= height_m
+        bit = seen.astype(jnp.uint32) << (number % WORD_BITS).astype(jnp.uint32)
+        return words.at[number // WORD_BITS].add(bit)
 
+    shape = jnp.broadcast_shapes(height_m.shape, (1, *top_m[kept].shape))
     num_words = max(1, -(-len(lines.heading) // WORD_BITS))
-    return lax.fori_loop(0, num, mark, jnp.zeros((num_words, len(height_m), *shape), jnp.uint32))
+    return lax.fori_loop(0, num, mark, jnp.zeros((num_words, *shape), jnp.uint32))
 
 
 def words_by_doubling(
-    top_m: Array, height_m: Array, lines: Line, num: Array, corner: tuple, shape: Shape
+    top_m: Array, height_m: Array, lines: Line, num: Array, window: Window
 ) -> Array:
     """Return `visible_words`, by the form for a GPU: `TOGETHER` satellites at once, whose shadows are then let go."""
     passes = num_passes(max(top_m.shape))
 
     def see(line: Line) -> Array:
         """Return ``[A, y, x]`` bool: where one satellite is seen."""
-        raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
-        shadow_m = lax.dynamic_slice(doubled(raised_m, line, passes), corner, shape)
-        return shadow_m[None] <= height_m
+        shadow_m = doubled(_raised(top_m, line), line, passes)
+        return shadow_m[None, *_kept(window)] <= height_m
 
-    seen = lax.map(see, lines, batch_size=TOGETHER)
+    all_seen = lax.map(see, lines, batch_size=TOGETHER)
     words = []
-    for first in range(0, max(len(seen), 1), WORD_BITS):
-        some = seen[first : first + WORD_BITS]  # of one word
+    for first in range(0, max(len(all_seen), 1), WORD_BITS):
+        some = all_seen[first : first + WORD_BITS]  # of one word
         bit = jnp.arange(len(some), dtype=jnp.uint32)[:, None, None, None]
-        is_true = first + bit < num.astype(jnp.uint32)
-        bits = (some & is_true).astype(jnp.uint32) << bit
-        words.append(jnp.sum(bits, axis=0, dtype=jnp.uint32))
+        seen = some & (first + bit < num.astype(jnp.uint32))
+        words.append(jnp.sum(seen.astype(jnp.uint32) << bit, axis=0, dtype=jnp.uint32))
     return jnp.stack(words)

@@ -26,6 +26,7 @@ from jaxurban.kernels.shadows.sweep import (
     shadow_height,
     shadow_heights_at_once,
     stacked,
+    sweep,
     words_by_doubling,
     words_by_sweep,
 )
@@ -42,7 +43,7 @@ AZIMUTH_RAD = np.radians(
 ELEVATION_RAD = np.radians([5, 31, 12, 60, 8, 20, 75, 90, 30, 9, 14, 22, 41, 17, 50, 6, 0, 0])
 ALTITUDES_M = (10.0, 60.0)
 ROUNDING_M = 1e-3
-INNER, WINDOW = (slice(4, 16), slice(7, 22)), (4, 16, 7, 22, 1)
+INNER, WINDOW = (slice(4, 16), slice(7, 22)), (4, 16, 7, 22)
 
 
 def tops(shape=SHAPE, dtype=np.float32):
@@ -58,9 +59,19 @@ def lines_over(shape, first=FIRST, growth=1, which=slice(None)):
     )
 
 
-def swept(top_m, lines, rings=None):
-    each = zip(lines, rings or [None] * len(lines), strict=True)
-    return np.stack([np.asarray(shadow_height(top_m, line, ring)) for line, ring in each])
+def swept(top_m, lines):
+    return np.stack([np.asarray(shadow_height(top_m, line)) for line in lines])
+
+
+def swept_within(part_m, lines, rings):
+    """Return what `swept` does, of a part inside the ring of one cell that its neighbours hand on to each line."""
+    shadows_m = []
+    for line, ring in zip(lines, rings, strict=True):
+        raised_m = part_m + ENTRY_STEPS * np.asarray(line.drop_m, part_m.dtype)
+        rows = np.concatenate([ring.west[:, None], raised_m, ring.east[:, None]], axis=1)
+        grown_m = np.concatenate([ring.south[None], rows, ring.north[None]])
+        shadows_m.append(np.asarray(sweep(grown_m, line))[1:-1, 1:-1])
+    return np.stack(shadows_m)
 
 
 def words_of(shadows_m, receivers_m):
@@ -155,7 +166,7 @@ def test_the_derivative_of_a_shadow_is_that_of_its_one_roof(form):
     top_m, expected = np.zeros(SHAPE, np.float32), np.zeros(SHAPE)
     top_m[12, 9], expected[12, 9] = 60.0, 1.0
     lines = stacked(digital_lines([0.0], [math.radians(30)], 5.0, *FIRST, SHAPE))
-    slope = jax.grad(lambda top: form(top, lines, (0, *SHAPE[:1], 0, *SHAPE[1:], 1))[0, 8, 9])(
+    slope = jax.grad(lambda top: form(top, lines, (0, *SHAPE[:1], 0, *SHAPE[1:]))[0, 8, 9])(
         jnp.asarray(top_m)
     )
     np.testing.assert_array_equal(slope, expected)
@@ -181,7 +192,7 @@ def test_a_part_within_the_ring_of_its_neighbours_hands_on_the_higher_of_roof_an
     carried = np.maximum(raised_m, whole)
     rings = [Ring(c[0], c[-1], c[1:-1, 0], c[1:-1, -1]) for c in carried[:, 3:17, 6:23]]
     part_m, expected = tops()[INNER].copy(), carried[:, *INNER]
-    np.testing.assert_array_equal(swept(part_m, lines, rings), whole[:, *INNER])
+    np.testing.assert_array_equal(swept_within(part_m, lines, rings), whole[:, *INNER])
     rows, cols = hand_on(part_m, stacked(lines), by_side(rings))
     for s, line in enumerate(lines):
         last = [0 if ahead > 0 else -1 for ahead in line.toward]
@@ -267,8 +278,8 @@ def test_words_hold_more_than_32_satellites_and_none_that_fills_up(form):
         expected[2] |= np.uint32(1 << 31)
     else:
         lines = stacked(lines_over(SHAPE, growth=0, which=which))
-        words = jax.jit(form, static_argnames="shape")(
-            tops(), height_m, lines, np.int32(num), (4, 7), shape=(12, 15)
+        words = jax.jit(form, static_argnames="window")(
+            tops(), height_m, lines, np.int32(num), window=WINDOW
         )
     np.testing.assert_array_equal(words, expected)
 
@@ -329,8 +340,8 @@ def test_the_words_of_a_city_are_equal_by_all_forms(has_terrain):
     )
     view = SkyView.of(surface, *sky)
     for form in (words_by_sweep, words_by_doubling):
-        words = jax.jit(form, static_argnames="shape")(
-            surface.top_m, height_m, view.lines, view.num, (50, 50), shape=(100, 100)
+        words = jax.jit(form, static_argnames="window")(
+            surface.top_m, height_m, view.lines, view.num, window=(50, 150, 50, 150)
         )
         np.testing.assert_array_equal(words, in_blocks)
     assert 0.4 < np.mean([in_blocks >> s & 1 for s in range(len(AZIMUTH_RAD))]) < 0.99

@@ -11,10 +11,9 @@ import xarray as xr
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io import store
-from jaxurban.maps import at_once, build
+from jaxurban.maps import at_once, build, run
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.params import MapParams
-from jaxurban.maps.run import make_zarr
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Dop, Gps
 from jaxurban.progress import Report
@@ -70,8 +69,8 @@ def begun(monkeypatch) -> list[tuple[bool, float]]:
     tried = []
     begin = at_once.tile_at_once
 
-    def spy(task, tile, window, around, stage, device_bytes):
-        made = begin(task, tile, window, around, stage, device_bytes)
+    def spy(task, tile, window, stage, device_bytes):
+        made = begin(task, tile, window, stage, device_bytes)
         tried.append((made is not None, device_bytes))
         return made
 
@@ -98,12 +97,13 @@ def test_what_does_not_fit_is_cut_into_tiles_of_the_same_bits(series, limit, beg
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["flat, statistics", "terrain with holes"])
-def test_a_device_makes_the_tiles_of_a_run(name, tmp_path):
+def test_a_device_makes_the_tiles_of_a_run(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "free_device_bytes", lambda task: math.inf)
     task = TASKS[name]()
-    run = tiled_runs.maker(tmp_path, task.city, task.params.gps.series)
-    make_zarr(run, Report(), tiled_runs.RAGGED, is_at_once=True)
+    context = tiled_runs.maker(tmp_path, task.city, task.params.gps.series)
+    run.make_zarr(context, Report(), tiled_runs.RAGGED)
     found = store.open_zarr(tmp_path, None).load()
-    expected = compute_maps(replace(task, guesses=run.task.guesses)).ds
+    expected = compute_maps(replace(task, guesses=context.task.guesses)).ds
     for key, values in expected.items():
         np.testing.assert_array_equal(found[key], values, err_msg=key)
 
@@ -131,18 +131,17 @@ def test_a_gpu_makes_large_regions_without_slabs_and_finer_rays_and_the_host_all
 
 def test_sides_are_rounded_up_by_at_most_15_percent_of_the_cells():
     for side in (1, 63, 65, 129, 1025, 2017, 4000, 16_385):
-        grid = square(side).region
-        tile = at_once._rounded(grid)
-        # A margin that is as unlucky, and the tile of its own grid.
+        task = square(side)
+        tile, around = at_once._grown(task, task.region)
         assert tile.num_rows * tile.num_cols <= 1.07 * side**2
-        again = at_once._rounded(tile.padded(1, 1, 1, 1), (side + 2, side + 2))
-        assert again.num_rows * again.num_cols <= 1.15 * (side + 2) ** 2
+        margin = task.region.window_in(task.with_margin())[0].start  # the city is the widest there
+        assert math.prod(around.shape) <= 1.15 * (side + 2 * margin) ** 2
+        task.with_margin().window_in(around)  # lies within it
         assert (tile.first_col, tile.first_row + tile.num_rows) == (
-            grid.first_col,
-            grid.first_row + grid.num_rows,
+            task.region.first_col,
+            task.region.first_row + task.region.num_rows,
         )
-    near = {at_once._rounded(square(side).region).shape for side in range(3970, 4033)}
-    assert near == {(4032, 4032)}
+    assert {at_once._rounded(side) for side in range(3970, 4033)} == {4032}
 
 
 @pytest.mark.slow
