@@ -255,9 +255,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         at_once.region_maps, region(NUM_TIMES), {"keeps_times": False}
     ),
     "shadows: doubling": lambda: Call(
-        sweep.shadow_heights_at_once,
+        jax.jit(sweep.heights_by_doubling, static_argnames="window"),
         (array(*SURFACE), lines()),
-        {"passes": sweep.num_passes(max(SURFACE))},
+        {"window": (0, SURFACE[0], 0, SURFACE[1])},
     ),
     # On the host alone: row by row.
     "shadows: a block": lambda: Call(

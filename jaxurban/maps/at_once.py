@@ -11,6 +11,7 @@ like size. While the device works, the host makes what it alone can, and keeps t
 """
 
 import math
+import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -27,11 +28,12 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.blocks import rounded_up
 from jaxurban.kernels.shadows.sweep import TOGETHER
 from jaxurban.maps.free_memory import gpu_free_bytes
+from jaxurban.maps.memory import distinct_texts
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.registry import ON_REQUEST, known_metrics
-from jaxurban.metrics.variables import SCALE, statistics_of_ordered
+from jaxurban.metrics.variables import SCALE, TimeTotals, statistics_of_ordered
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.progress import Stage
@@ -42,7 +44,12 @@ from jaxurban.world.surface import OF_REGION, Surface, obstacle_mask
 Window = tuple[slice, slice]  # rows and columns of a region
 # Cells x times from which a GPU makes maps: fewer take 16 cores less than 1.5 s, and compiling takes longer.
 LEAST_CELLS = 2**22
+ONE_AT_A_TIME = threading.Lock()  # so that tiles in several threads fit where one does
 SIDE_BITS = 6  # of a rounded side, at most 1/32 longer: a tile's and then its grid's add 13 % of the cells at most
+
+
+class TooLargeError(InputError):
+    """The maps of a tile need more memory than a device has."""
 
 
 @jax.tree_util.register_dataclass
@@ -220,7 +227,9 @@ def _weighted(inputs: MapInputs, maps: dict[str, Array], weights: Weights) -> Ar
 
 
 @partial(jax.jit, static_argnames="keeps_times")
-def region_maps(inputs: MapInputs, skies: SkyView, keeps_times: bool) -> dict[str, Array]:
+def region_maps(
+    inputs: MapInputs, skies: SkyView, keeps_times: bool
+) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return the maps of a region at all times as `build_maps` keeps them, by variable: `all_maps`, and its sums.
 
     Args:
@@ -229,7 +238,7 @@ def region_maps(inputs: MapInputs, skies: SkyView, keeps_times: bool) -> dict[st
       keeps_times: False gives statistics over the times.
 
     Returns:
-      Each map with the axes of its variable before ``[y, x]``, NaN inside obstacles; with statistics also ``NAME_sums``
+      Each map with the axes of its variable before ``[y, x]``, NaN inside obstacles; and with statistics, by metric,
       int32 ``[T, A, y]``, the sums of round(m x `SCALE`) over the free cells of each row.
     """
     still = all_maps(replace(inputs, settings={}), jax.tree.map(lambda values: values[0], skies))
@@ -249,15 +258,16 @@ def region_maps(inputs: MapInputs, skies: SkyView, keeps_times: bool) -> dict[st
     by_time = lax.map(of_time, skies)
     maps = jax.tree.map(kept, still)
     if keeps_times:
-        return maps | by_time
+        return maps | by_time, {}
+    row_sums = {}
     threshold = inputs.settings["gps"].availability_threshold
     for name, m in by_time.items():
         whole = jnp.nan_to_num(jnp.rint(m * SCALE)).astype(jnp.int32)
-        maps[f"{name}_sums"] = jnp.sum(whole, axis=-1)
+        row_sums[name] = jnp.sum(whole, axis=-1)
         ordered = jnp.sort(jnp.moveaxis(m, 0, -1))
         for what, values in statistics_of_ordered(ordered, ordered > threshold).items():
             maps[f"{name}_{what}"] = jnp.where(jnp.isnan(m[0]), jnp.nan, values)
-    return maps
+    return maps, row_sums
 
 
 def free_device_bytes(task: MapTask) -> float | None:
@@ -295,13 +305,9 @@ def _grown(task: MapTask, tile: Grid) -> tuple[Grid, Grid]:
 
 
 def tile_at_once(
-    task: MapTask,
-    tile: Grid,
-    window: Window,
-    stage: Stage,
-    device_bytes: float = math.inf,
-) -> TileScene | None:
-    """Return a tile of which JAX's first device makes the maps from now on; None where they need more memory.
+    task: MapTask, tile: Grid, window: Window, stage: Stage, device_bytes: float
+) -> TileScene:
+    """Return a tile with the maps that JAX's first device makes of it, one tile at a time.
 
     The tile is rounded up: it may stick out of its window in the south and in the east.
 
@@ -311,6 +317,9 @@ def tile_at_once(
       window: rows and columns of the region that it reports.
       stage: gives the context that the work on each stage runs in.
       device_bytes: what the maps may take of the device's memory.
+
+    Raises:
+      TooLargeError: the maps need more memory, as compiled.
     """
     with stage("surface"):
         surface: Any = task.surface(*_grown(task, tile))
@@ -326,13 +335,23 @@ def tile_at_once(
     unread: dict[str, Any] = dict.fromkeys(("block", *OF_REGION))
     metrics = _made_at_once(task)
     inputs = _made_ready(task, replace(surface, **unread), metrics), skies_of(task, surface)
-    arguments = jax.device_put(inputs, jax.local_devices()[0])
-    program = region_maps.lower(*arguments, keeps_times=task.keeps_times).compile()
-    held: Any = program.memory_analysis()
-    fixed_bytes = held.argument_size_in_bytes + held.output_size_in_bytes
-    if fixed_bytes + held.temp_size_in_bytes > device_bytes:
-        return None
-    made = program(*arguments)
-    for values in made.values():
-        values.copy_to_host_async()
-    return TileScene(task, surface, of_device=metrics, made=made)
+    with ONE_AT_A_TIME, stage("device"):
+        arguments = jax.device_put(inputs, jax.local_devices()[0])
+        program = region_maps.lower(*arguments, keeps_times=task.keeps_times).compile()
+        held: Any = program.memory_analysis()
+        needed = held.argument_size_in_bytes + held.output_size_in_bytes + held.temp_size_in_bytes
+        if needed > device_bytes:
+            needed_text, free_text = distinct_texts(needed, device_bytes)
+            raise TooLargeError(
+                f"a tile needs about {needed_text} of the GPU's memory and {free_text} are free: end what else uses "
+                "it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
+            )
+        made, row_sums = jax.device_get(program(*arguments))
+
+    scene = TileScene(task, surface, of_device=metrics, made=made)
+    for name, sums in row_sums.items():
+        is_counted = ~np.isnan(made[f"{name}_median"])
+        scene.totals[name] = TimeTotals(
+            sums.sum(axis=-1, dtype=np.int64), is_counted.sum(axis=(1, 2))
+        )
+    return scene

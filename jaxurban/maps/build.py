@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
-from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -14,18 +12,19 @@ from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
-from jaxurban.io.read.rasterise import bands_of
+from jaxurban.io.read.rasterise import bands_of, check_has_data
 from jaxurban.kernels.engine import Engine, on_host, warn_of_jax
 from jaxurban.knowledge import Guesses, GuessKind, guessed, guesses_to, warn_of
 from jaxurban.maps.at_once import (
     MapInputs,
+    TooLargeError,
     Window,
     free_device_bytes,
     inputs_of,
     skies_of,
     tile_at_once,
 )
-from jaxurban.maps.memory import check_fits, format_bytes, shape_of_tiles
+from jaxurban.maps.memory import check_fits, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.params import PAPER_ALTITUDES_M, MapParams
 from jaxurban.maps.recipe import tile_maps
@@ -264,6 +263,7 @@ def compute_maps(
                 num_rows, num_cols = target.shape
                 target[:] = values[-num_rows:, :num_cols]
             add_totals(totals, tile.totals)
+    check_has_data([ds["has_data"].values], task.city)
     base = task.city.sources.get("buildings")
     return MetricMaps(ds if task.keeps_times else with_series(ds, task, totals), base=base)
 
@@ -271,27 +271,23 @@ def compute_maps(
 def _tiles_at_once(
     task: MapTask, device_bytes: float, stage: Stage
 ) -> Iterator[tuple[Window, TileScene]]:
-    """Yield what a device makes of a region, as one tile or as several, each begun before the one before is yielded.
+    """Yield what a device makes of a region, as one tile or, where that does not fit, as several.
 
     Raises:
-      InputError: even the smaller tiles need more memory.
+      TooLargeError: even the smaller tiles need more memory.
     """
-    for shape in (task.region.shape, shape_of_tiles(task)):
+    shapes = task.region.shape, shape_of_tiles(task)
+    for shape in shapes:
         tiling = Tiling.over(task.region, task.region, shape)
-        windows = list(map(tiling.reported, tiling.region_tiles))
-        grids = list(map(tiling.grid_of, tiling.region_tiles))
-        num_bytes = device_bytes / min(2, len(grids))  # of a tile and of the one before
-        begin = partial(tile_at_once, task, stage=stage, device_bytes=num_bytes)
-        begun: Iterator[Any] = zip(windows, map(begin, grids, windows), strict=True)
-        first = next(begun)
-        if first[1] is not None:
-            for tile, _ in pairwise(chain([first], begun, [first])):
-                yield tile
+        try:
+            for tile in tiling.region_tiles:
+                window = tiling.reported(tile)
+                grid = tiling.grid_of(tile)
+                yield window, tile_at_once(task, grid, window, stage, device_bytes)
             return
-    raise InputError(
-        f"the maps of a tile need more of the GPU's memory than the {format_bytes(device_bytes)} that are free: end "
-        "what else uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or compute on the CPU"
-    )
+        except TooLargeError:
+            if shape == shapes[-1]:
+                raise
 
 
 @typed

@@ -64,7 +64,7 @@ def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
         near = [(neighbour, quadrant) for neighbour in tiling.upstream(tile, quadrant)]
         return [sweeps[key] for key in near if key in sweeps]
 
-    if job.is_at_once:
+    if job.device_bytes is not None:
         return [task(finish_tile, tile, after=[]) for tile in tiling.region_tiles]
     rasters = {tile: task(raster_tile, tile, after=[]) for tile in tiling.tiles}
 

@@ -53,7 +53,9 @@ def tile_maps(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
         if tile.has_data is not None and np.issubdtype(values.dtype, np.floating):
             values = np.where(tile.has_data, values, np.float32(np.nan))
         yield MapLayer(name, place, values)
-    yield from _staged(_made(tile), stage, "device")
+    for name, made in tile.made.items():
+        for place in np.ndindex(made.shape[:-2]):
+            yield MapLayer(name, place, made[place])
 
     has_data = tile.has_data
     if has_data is None:
@@ -115,20 +117,6 @@ def _obstacles(tile: TileScene) -> Iterator[MapLayer]:
     """Yield the map of obstacles of each altitude, uint8, 1 inside them."""
     for a, is_obstacle in enumerate(tile.is_obstacle):
         yield MapLayer("obstacle", (a,), is_obstacle.astype(np.uint8))
-
-
-def _made(tile: TileScene) -> Iterator[MapLayer]:
-    """Yield what a device has made of a tile, and put its sums into ``tile.totals``."""
-    for name, on_device in tile.made.items():
-        values = np.asarray(on_device)
-        metric, _, what = name.rpartition("_")
-        if what == "sums":
-            sums = values.sum(axis=-1, dtype=np.int64)
-            is_counted = ~np.isnan(tile.made[f"{metric}_median"])
-            tile.totals[metric] = TimeTotals(sums, is_counted.sum(axis=(1, 2)))
-            continue
-        for place in np.ndindex(values.shape[:-2]):
-            yield MapLayer(name, place, values[place])
 
 
 def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[MapLayer]:

@@ -411,7 +411,7 @@ def make_zarr(
     work = WorkFolder(stored.work_path(run.folder.resolve(), grid.resolution_m))
     for path in work.begin(f"{run.key} {shape}", run.map):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
-    job = TileJob(task, work, tiling, is_at_once=free_device_bytes(task) is not None)
+    job = TileJob(task, work, tiling, free_device_bytes(task))
     attrs = {RUN_KEY: run.key, "guesses": guesses_to(task.guesses)}
     empty = empty_dataset(task, _no_values).assign_attrs(attrs)
     if work.done(ZARR) is None:

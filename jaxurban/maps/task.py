@@ -222,7 +222,7 @@ class MapTask:
         """Return the city's rasters on the region and its margin.
 
         Args:
-          part: a part of the region instead, which may be without data.
+          part: a part of the region instead.
           around: the part with its margin.
         """
         return build_surface(
@@ -232,7 +232,6 @@ class MapTask:
             self.params.heights.all_touched,
             self.has_guessed_roofs,
             self.has_kinds,
-            is_part=part is not None,
         )
 
 

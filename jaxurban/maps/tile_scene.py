@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,7 @@ class TileScene:
       surface: roofs, terrain and blocks of the tile (``surface.region``) and of what its metrics look at around it.
       rings: the shadows that the tiles around hand on, by time and satellite; None where the surface itself holds all
         roofs that can shadow the tile.
-      of_device: the metrics that a device has begun to make; the host makes all others.
+      of_device: the metrics that a device has made; the host makes all others.
       made: their maps, as `jaxurban.maps.at_once.region_maps` gives them.
       totals: the tile's sums over free cells by metric, where statistics over time are kept; `tile_maps` fills it.
     """
@@ -37,7 +36,7 @@ class TileScene:
     surface: Surface
     rings: Mapping[tuple[int, int], Ring] | None = None
     of_device: Sequence[Metric] = ()
-    made: Mapping[str, Any] = field(default_factory=dict)
+    made: Mapping[str, np.ndarray] = field(default_factory=dict)
     totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
     _words: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
     _surfaces: dict[float, tuple[Surface, Surface | None]] = field(

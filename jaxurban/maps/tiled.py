@@ -206,13 +206,14 @@ class TileJob:
       task: what the maps are made of.
       work: where steps leave their results for each other.
       tiling: the tiles.
-      is_at_once: whether a device makes each tile's maps at once (`jaxurban.maps.at_once`).
+      device_bytes: of memory, in which a device makes each tile's maps at once (`jaxurban.maps.at_once`); None where
+        the host makes them.
     """
 
     task: MapTask
     work: WorkFolder
     tiling: Tiling
-    is_at_once: bool = False
+    device_bytes: float | None = None
 
     @cached_property
     def order(self) -> dict[Quadrant, list[tuple[int, int]]]:
@@ -394,10 +395,9 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
 
 def _scene(job: TileJob, tile: Tile, window: Window, stage: Stage) -> TileScene:
     """Return a tile of which a device makes the maps, or one with what the tiles around have left for it."""
-    if job.is_at_once:
-        scene = tile_at_once(job.task, job.tiling.grid_of(tile), window, stage)
-        assert scene is not None  # as of `jaxurban.maps.memory.plan_run`
-        return scene
+    if job.device_bytes is not None:
+        grid = job.tiling.grid_of(tile)
+        return tile_at_once(job.task, grid, window, stage, job.device_bytes)
     with stage("surface"):
         surface = _surface(job, tile)
     with stage("gps"):

@@ -219,21 +219,13 @@ def _raised(top_m: Array, line: Line) -> Array:
     return top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
 
 
-def num_passes(num_steps: float) -> int:
-    """Return how many passes look at least ``num_steps`` rows (columns) along every line.
-
-    As many as the longer side of the grid are always enough.
-    """
-    return max(1, math.ceil(math.log2(max(num_steps, 2.0))))
-
-
 def doubled(raised_m: Array, line: Line, passes: int) -> Array:
     """Return `sweep` of one direction, looking ``2^passes`` rows (columns) far, by doubling (see the top of this file).
 
     Args:
       raised_m: ``[Y, X]`` tops, raised by what the line gains before it meets them.
       line: from `digital_line`, for the same shape; its fields may be traced, heading too.
-      passes: from `num_passes`.
+      passes: what stands farther shadows nothing.
     """
     num_rows, num_cols = raised_m.shape
     row = lax.broadcasted_iota(jnp.int32, raised_m.shape, 0)
@@ -272,20 +264,6 @@ def doubled(raised_m: Array, line: Line, passes: int) -> Array:
     return beyond(highest_m, 1)
 
 
-@partial(jax.jit, static_argnames="passes")
-def shadow_heights_at_once(
-    top_m: Float[Array, "Y X"], lines: Line, *, passes: int
-) -> Float[Array, "S Y X"]:
-    """Return `shadow_height` of every direction, ``[S, Y, X]``.
-
-    Args:
-      top_m: absolute height of roofs and bare ground, row 0 in the south.
-      lines: of all directions, fields stacked along ``S``.
-      passes: from `num_passes`; what stands farther shadows nothing.
-    """
-    return jax.vmap(lambda line: doubled(_raised(top_m, line), line, passes))(lines)
-
-
 def shadow_heights(
     top_m: Float[Array, "Y X"], lines: Line, window: Window
 ) -> Float[Array, "S y x"]:
@@ -313,9 +291,13 @@ def heights_by_sweep(top_m: Array, lines: Line, window: Window) -> Array:
 
 def heights_by_doubling(top_m: Array, lines: Line, window: Window) -> Array:
     """Return `shadow_heights`, by the form for a GPU."""
-    return shadow_heights_at_once(top_m, lines, passes=num_passes(max(top_m.shape)))[
-        :, *_kept(window)
-    ]
+    return jax.vmap(partial(_height_by_doubling, top_m))(lines)[:, *_kept(window)]
+
+
+def _height_by_doubling(top_m: Array, line: Line) -> Array:
+    """Return `shadow_height`, by doubling."""
+    passes = math.ceil(math.log2(max(2, *top_m.shape)))  # along the longer side
+    return doubled(_raised(top_m, line), line, passes)
 
 
 def _kept(window: Window) -> tuple[slice, slice]:
@@ -365,12 +347,10 @@ def words_by_doubling(
     top_m: Array, height_m: Array, lines: Line, num: Array, window: Window
 ) -> Array:
     """Return `visible_words`, by the form for a GPU: `TOGETHER` satellites at once, whose shadows are then let go."""
-    passes = num_passes(max(top_m.shape))
 
     def see(line: Line) -> Array:
         """Return ``[A, y, x]`` bool: where one satellite is seen."""
-        shadow_m = doubled(_raised(top_m, line), line, passes)
-        return shadow_m[None, *_kept(window)] <= height_m
+        return _height_by_doubling(top_m, line)[None, *_kept(window)] <= height_m
 
     all_seen = lax.map(see, lines, batch_size=TOGETHER)
     words = []

@@ -20,11 +20,10 @@ from jaxurban.kernels.shadows.sweep import (
     Ring,
     digital_line,
     digital_lines,
+    doubled,
     heights_by_doubling,
     heights_by_sweep,
-    num_passes,
     shadow_height,
-    shadow_heights_at_once,
     stacked,
     sweep,
     words_by_doubling,
@@ -124,9 +123,10 @@ def test_shadow_heights_equal_a_walk_along_every_line_by_one_program():
 
 
 def test_fewer_passes_leave_out_only_what_stands_farther():
-    near = shadow_heights_at_once(
-        tops(), stacked(lines_over(SHAPE, growth=0)), passes=num_passes(8)
-    )
+    near = [
+        doubled(tops() + ENTRY_STEPS * np.float32(line.drop_m), line, passes=3)
+        for line in lines_over(SHAPE, growth=0)
+    ]
     np.testing.assert_allclose(near, walks(8), atol=ROUNDING_M)
 
 
@@ -176,7 +176,7 @@ def test_the_derivative_of_a_shadow_is_that_of_its_one_roof(form):
 @pytest.mark.parametrize("shape", [SHAPE, (1, 9), (9, 1)])
 def test_doubling_throws_the_sweeps_shadows_in_every_direction(shape):
     top_m, lines = tops(shape), lines_over(shape, growth=0)
-    found = shadow_heights_at_once(top_m, stacked(lines), passes=num_passes(max(shape)))
+    found = heights_by_doubling(top_m, stacked(lines), (0, shape[0], 0, shape[1]))
     np.testing.assert_allclose(found, swept(top_m, lines), atol=ROUNDING_M)
 
 
