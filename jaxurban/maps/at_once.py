@@ -7,7 +7,7 @@ alone.
 
 On a device a tile is the whole region where that fits into its memory. It is taken with all that can shadow it, which
 moves fewer bytes than shadows that tiles would hand on. Sides are rounded up, so that one program serves all regions of
-like size. While the device works, the host makes what it alone can, and keeps the tile before.
+like size. The device makes one tile at a time, while other threads rasterise and write theirs.
 """
 
 import math
