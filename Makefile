@@ -98,7 +98,7 @@ bench: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.run_all $(if $(RUNS),--runs $(RUNS))
 
 bench-gpu: $(VENV)/.run
-	$(BIN)/python -m benchmarks.gpu
+	$(BIN)/python -m benchmarks.gpu $(SECTION)
 
 # Compiles every kernel for a GPU that is not there, in an environment of its own: beside the tests JAX would see the
 # plugin and complain. Only where pip cannot install the packages is it skipped.

@@ -5,6 +5,7 @@ region of 8 M cells (5 m), or of a tile of 1 M cells where maps are made by tile
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +23,7 @@ from jaxurban.kernels.search import sample_graph, tiles
 from jaxurban.kernels.shadows import blocks, rays, sweep
 from jaxurban.kernels.shadows.sweep import shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
-from jaxurban.maps import build
+from jaxurban.maps import at_once
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
 from jaxurban.metrics import gps, gps_soft, lidar, population, risk, visibility
 from jaxurban.metrics.lidar import Lidar
@@ -80,9 +81,10 @@ CELLS = int32(512, 2)  # of a path
 HEIGHTS_M = array(512)
 ALTITUDES_M = array(4)
 NUM_SATELLITES = 9
+ROUNDED = rounded_up(NUM_SATELLITES, sweep.TOGETHER)
 AZIMUTH_RAD, ELEVATION_RAD = (
-    np.linspace(0.3, 6.0, NUM_SATELLITES),
-    np.linspace(0.3, 1.2, NUM_SATELLITES),
+    np.linspace(0.3, 6.0, ROUNDED),
+    np.linspace(0.3, 1.2, ROUNDED),
 )
 
 
@@ -110,7 +112,7 @@ def satellites(num: int, multiple_of: int = 8, num_clocks: int = 1) -> dop.Geome
 
 
 BLOCK, GROWN = (LARGE, LARGE), (LARGE + 2, LARGE + 2)
-WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1], 1)
+WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1])
 VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
 
 NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
@@ -214,13 +216,32 @@ def returns_at(roof_m, ground_m, heights_m, scan, cells):
     )
 
 
-def inputs() -> tuple[build.MapInputs, visibility.SkyView]:
+def inputs() -> tuple[at_once.MapInputs, visibility.SkyView]:
     """Return what all maps of a region of 8 M cells at one time are made of."""
     settings = {"gps": gps.Gps(), "population": population.Population()}
     ready = {"lidar": array(4, PADDED_5M), "population": (BLOCKS, array(2))}
     fixed = ("lidar", Lidar()), ("risk", Risk())
     sky = visibility.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
-    return build.MapInputs(soft_city().surface, ALTITUDES_M, ready, settings, fixed), sky
+    return at_once.MapInputs(soft_city().surface, ALTITUDES_M, ready, settings, fixed), sky
+
+
+NUM_TIMES = 24
+
+
+def region(num_times: int = 1) -> tuple[at_once.MapInputs, visibility.SkyView]:
+    """Return what a device makes all maps of a region of 8 M cells of: sides and satellites are rounded up."""
+    made, sky = inputs()
+    people = ("block", "population")
+    surface = replace(made.surface, block=None, has_data=array(*SURFACE, dtype=bool))
+    settings = {name: values for name, values in made.settings.items() if name not in people}
+    ready = {name: values for name, values in made.ready.items() if name not in people}
+    one = visibility.SkyView(
+        lines_over(SURFACE, ROUNDED), satellites(NUM_SATELLITES, ROUNDED), sky.num
+    )
+    skies = jax.tree.map(
+        lambda values: np.stack([np.asarray(values)] * num_times), one._replace(num=NUM_SATELLITES)
+    )
+    return replace(made, surface=surface, settings=settings, ready=ready), skies
 
 
 WALKS = rays.Walks(*[array(rays.RAYS_A_TURN)] * 5)
@@ -228,12 +249,17 @@ RINGS = sweep.Ring(*[array(blocks.AT_ONCE, LARGE + 2)] * 2, *[array(blocks.AT_ON
 ROOFS = blocks.Roofs(array(*BLOCK), None, NUMBER)
 
 KERNELS: dict[str, Callable[[], Call]] = {
-    "all maps": lambda: Call(jax.jit(build.all_maps), inputs()),
-    "shadows: doubling": lambda: Call(
-        sweep.shadow_heights_at_once,
-        (array(*SURFACE), lines()),
-        {"passes": sweep.num_passes(max(SURFACE))},
+    "all maps": lambda: Call(jax.jit(at_once.all_maps), inputs()),
+    "a region's maps": lambda: Call(at_once.region_maps, region(), {"keeps_times": True}),
+    "a region's maps, statistics over 24 times": lambda: Call(
+        at_once.region_maps, region(NUM_TIMES), {"keeps_times": False}
     ),
+    "shadows: doubling": lambda: Call(
+        jax.jit(sweep.heights_by_doubling, static_argnames="window"),
+        (array(*SURFACE), lines()),
+        {"window": (0, SURFACE[0], 0, SURFACE[1])},
+    ),
+    # On the host alone: row by row.
     "shadows: a block": lambda: Call(
         blocks.cast,
         (

@@ -17,13 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.gpu_inputs import load_surface
-from jaxurban.metrics.gps import GpsMaps, maps_of_choices, satellites_of, soft_gps
-from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
+from jaxurban.kernels.dop import Geometry
+from jaxurban.kernels.shadows.sweep import TOGETHER
+from jaxurban.maps.at_once import MapInputs, region_maps
+from jaxurban.metrics.gps import Gps, maps_of_choices, maps_of_words, satellites_of, soft_gps
+from jaxurban.metrics.lidar import Lidar, beam_heights, compute_lidar, soft_lidar
 from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
-from jaxurban.metrics.visibility import SkyView, visibility
+from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
-from jaxurban.world.surface import Surface, obstacle_mask
+from jaxurban.world.surface import Surface
 
 RUN_S, MOST_RUNS = 5.0, 5  # after the first run: until so many seconds are spent, or so many runs
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
@@ -131,12 +134,14 @@ def copy(run: Run) -> None:
 
 
 def occlusion(run: Run) -> None:
+    altitudes_m = jnp.asarray(ALTITUDES_M)
     for resolution_m in (5.0, 2.0):
-        surface, azimuth_rad, elevation_rad = run.surface(resolution_m)
+        surface, *angles = run.surface(resolution_m)
+        sky = SkyView.of(surface, *angles)
         run.timed(
-            f"visibility, {len(azimuth_rad)} satellites x {len(ALTITUDES_M)} altitudes, {resolution_m:g} m",
-            lambda at=(surface, azimuth_rad, elevation_rad): visibility(*at, ALTITUDES_M),
-            surface.roof_m.size * len(azimuth_rad) * len(ALTITUDES_M),
+            f"visibility, {len(angles[0])} satellites x {len(ALTITUDES_M)} altitudes, {resolution_m:g} m",
+            lambda at=(surface, altitudes_m, sky): visible_words(*at),
+            surface.roof_m.size * len(angles[0]) * len(ALTITUDES_M),
             "answers",
             SAME,
             every=1 if resolution_m == 5.0 else 8,
@@ -200,7 +205,12 @@ def distance(run: Run) -> None:
 
 
 def dops(run: Run) -> None:
-    def gdop_of(maps: GpsMaps, number: np.ndarray) -> np.ndarray:
+    """GPS maps of random words: on a CPU of the distinct ones, as the host makes them, on a GPU of every cell."""
+
+    def gdop(words: jax.Array, satellites: Geometry) -> jax.Array | np.ndarray:
+        if jax.default_backend() != "cpu":
+            return maps_of_words(words, satellites, 20.0).gdop
+        maps, number = maps_of_choices(np.asarray(words), np.zeros((), bool), satellites, 20.0)
         return maps.gdop[number]
 
     rng = np.random.default_rng(0)
@@ -208,11 +218,10 @@ def dops(run: Run) -> None:
     for num in (9, 31):
         azimuth_rad, elevation_rad = rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num)
         words = jnp.asarray(rng.integers(0, 2**num, (1, 1, side, side)), jnp.uint32)
-        is_obstacle = jnp.zeros((1, side, side), bool)
         satellites = satellites_of(InView(azimuth_rad, elevation_rad, ()))
         run.timed(
             f"GPS maps of {num} satellites",
-            lambda at=(words, is_obstacle, satellites, 20.0): gdop_of(*maps_of_choices(*at)),
+            lambda at=(words, satellites): gdop(*at),
             side**2,
             "cells",
             DOP,
@@ -221,34 +230,33 @@ def dops(run: Run) -> None:
 
 
 def pipeline(run: Run) -> None:
-    """All maps of a region in memory: obstacles, GPS, lidar and risk, left on the device and brought to the host."""
-    surface, azimuth_rad, elevation_rad = run.surface()
-    altitudes_m = jnp.asarray(ALTITUDES_M)
+    """All maps of a region at one time by one program: GPS, lidar and risk, left on the device and on the host."""
+    for resolution_m in (5.0, 2.0):
+        surface, *angles = run.surface(resolution_m)
+        altitudes_m = jnp.asarray(ALTITUDES_M)
+        ready = {"lidar": jnp.asarray(beam_heights(ALTITUDES_M, Lidar(), surface))}
+        fixed = ("lidar", Lidar()), ("risk", Risk())
+        inputs = MapInputs(surface, altitudes_m, ready, {"gps": Gps()}, fixed)
+        sky = SkyView.of(surface, *angles, TOGETHER)
+        skies = jax.tree.map(lambda values: jnp.asarray(values)[None], sky)
 
-    def maps() -> list[jax.Array]:
-        words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
-        is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
-        satellites = satellites_of(InView(azimuth_rad, elevation_rad, ()))
-        table, number = maps_of_choices(words, is_obstacle, satellites, 20.0)
-        gps = [np.take(values, number) for values in table]
-        lidar_m = jnp.concatenate([compute_lidar(surface, [z_m], Lidar()) for z_m in ALTITUDES_M])
-        risk_m = compute_risk(surface, altitudes_m, Risk())
-        return [obstacle_mask(surface.roof_m, altitudes_m), *gps, lidar_m, risk_m]
+        def maps(at: tuple = (inputs, skies)) -> dict[str, jax.Array]:
+            return region_maps(*at, keeps_times=True)[0]
 
-    units = surface.roof_m.size * len(ALTITUDES_M)
-    run.timed("all maps, left on the device", maps, units, "cells x altitudes")
-    run.timed(
-        "all maps, on the host",
-        lambda: [np.asarray(values) for values in maps()],
-        units,
-        "cells x altitudes",
-    )
+        units = surface.roof_m.size * len(ALTITUDES_M)
+        name = f"all maps, {resolution_m:g} m"
+        run.timed(f"{name}, left on the device", maps, units, "cells x altitudes")
+        run.timed(
+            f"{name}, on the host", lambda: jax.device_get(maps()), units, "cells x altitudes"
+        )
 
-    def metrics() -> jax.Array:
-        _, gps_m, *_, lidar_m, risk_m = maps()
-        return jnp.stack([gps_m, lidar_m, risk_m])
+        def metrics() -> jax.Array:
+            made = maps()
+            return jnp.nan_to_num(jnp.stack([made["gps"][0], made["lidar"], made["risk"]]))
 
-    run.timed("the metrics of all maps", metrics, units, "cells x altitudes", UNIT, every=8)
+        run.timed(
+            f"the metrics, {resolution_m:g} m", metrics, units, "cells x altitudes", UNIT, every=8
+        )
 
 
 def gradients(run: Run) -> None:

@@ -1,4 +1,4 @@
-from jaxurban.maps.build import all_maps as all_maps
+from jaxurban.maps.at_once import all_maps as all_maps
 from jaxurban.maps.build import map_inputs as map_inputs
 from jaxurban.maps.differentiable import SoftCity as SoftCity
 from jaxurban.maps.differentiable import SoftParams as SoftParams

@@ -38,11 +38,11 @@ def warn_of_jax(engine: str) -> None:
         warn(ONLY_JAX)
 
 
-def on_device_of(engine: str) -> AbstractContextManager:
-    """Return the context in which JAX computes what has no form in Numba: beside ``"numba"`` on the host."""
-    if engine == "numba" and _platform() != "cpu":
-        return jax.default_device(jax.local_devices(backend="cpu")[0])
-    return nullcontext()
+def on_host() -> AbstractContextManager:
+    """Return the context in which JAX computes on the host, whatever devices there are."""
+    if _platform() == "cpu":
+        return nullcontext()
+    return jax.default_device(jax.local_devices(backend="cpu")[0])
 
 
 def _platform() -> str:

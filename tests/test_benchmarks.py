@@ -233,7 +233,7 @@ def test_every_row_of_a_gpu_is_held_against_the_first_of_its_name_and_without_on
 def test_every_section_of_a_gpu_has_its_seconds_and_they_fit_into_the_run():
     assert list(gpu.SECTIONS) == list(gpu_sections.SECTIONS)
     assert set(gpu.LOOPS) <= set(gpu.SECTIONS)
-    assert gpu.BUDGET_S < 600
+    assert gpu.BUDGET_S < 480
 
 
 def test_a_section_of_a_gpu_that_breaks_off_fails_the_run_and_is_named(tmp_path, monkeypatch):

@@ -9,16 +9,17 @@ import pytest
 
 from benchmarks.gpu import difference
 from benchmarks.gpu_sections import GRADIENT, METRES, SAME
-from jaxurban.metrics.gps import soft_gps
+from jaxurban.maps.build import compute_maps
+from jaxurban.metrics.gps import maps_of_words, satellites_of, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.risk import Risk, compute_risk
-from jaxurban.metrics.visibility import SkyView, visibility
+from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bulk import solve_batched
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface
-from tests.metrics.whole_maps import gps_maps
+from tests import tiled_runs
 from tests.planners.problems import walled_problem
 
 pytestmark = pytest.mark.gpu
@@ -72,7 +73,8 @@ def on_both(work, given, gpu: jax.Device) -> tuple[np.ndarray, np.ndarray]:
 
 def satellites(surface: Surface) -> np.ndarray:
     """Return a bit for each satellite, altitude and cell."""
-    words = np.asarray(visibility(surface, AZIMUTH_RAD, ELEVATION_RAD, ALTITUDES_M))
+    sky = SkyView.of(surface, AZIMUTH_RAD, ELEVATION_RAD)
+    words = np.asarray(visible_words(surface, jnp.asarray(ALTITUDES_M), sky))
     return words >> np.arange(len(AZIMUTH_RAD), dtype=np.uint32).reshape(-1, 1, 1, 1, 1) & 1
 
 
@@ -128,7 +130,7 @@ def test_dilutions_are_the_same_to_a_ten_thousandth(gpu, num):
     angles = rng.uniform(0, 6, num), rng.uniform(0.1, 1.5, num)
 
     def dilutions(words: jax.Array) -> jax.Array:
-        maps = gps_maps(words, jnp.zeros(words.shape[1:], bool), InView(*angles, ()))
+        maps = maps_of_words(words, satellites_of(InView(*angles, ())), 20.0)
         return jnp.stack([maps.gdop, maps.pdop, maps.hdop, maps.vdop, maps.tdop])
 
     cpu_dops, gpu_dops = on_both(dilutions, words, gpu)
@@ -137,6 +139,18 @@ def test_dilutions_are_the_same_to_a_ten_thousandth(gpu, num):
     )  # above, nobody flies by it, and rounding may tell another of several hundreds from inf
     assert is_usable.mean() > 0.5
     np.testing.assert_allclose(gpu_dops[is_usable], cpu_dops[is_usable], rtol=1e-4)
+
+
+@pytest.mark.parametrize("series", ["epochs", "statistics"])
+def test_maps_made_at_once_are_the_host_s_but_for_rounding(gpu, series):
+    task = tiled_runs.task(tiled_runs.city(), series)
+    found, expected = (compute_maps(task, device_bytes=size).ds for size in (np.inf, None))
+    for name, values in expected.data_vars.items():
+        if values.dtype.kind not in "fui":
+            continue
+        is_grazed = {"absolute": 1e-4, "relative": 1e-4, "share": 1e-3}
+        answer = difference(found[name].values, values.values, **is_grazed)
+        assert not answer["is_wrong"], (name, answer["differs"])
 
 
 def test_a_sampled_search_finds_the_cost_of_numba(gpu):

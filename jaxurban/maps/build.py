@@ -1,50 +1,49 @@
-"""build_maps: a city and a sky in, the metric maps of a region out; and all_maps, the same as one pure function.
+"""build_maps: a city and a sky in, the metric maps of a region out; and map_inputs, what `all_maps` makes them of."""
 
-`map_inputs` makes ready on the host what a city, a sky and settings say; `all_maps` then computes the maps of one time,
-to be jitted, mapped over (`jax.vmap`) and exported. It defines what the maps are: `jaxurban.maps.recipe`, which makes
-them layer by layer and on a CPU in threads, gives the same bits outside obstacles (population: but for float32's last
-bit). Supersampled maps, spreads, statistics over time and own layers are the recipe's alone.
-"""
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import shapely
-from jaxtyping import Array, Float
 
 from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
-from jaxurban.io.read.rasterise import bands_of
-from jaxurban.kernels.engine import Engine, on_device_of, warn_of_jax
+from jaxurban.io.read.rasterise import bands_of, check_has_data
+from jaxurban.kernels.engine import Engine, on_host, warn_of_jax
 from jaxurban.knowledge import Guesses, GuessKind, guessed, guesses_to, warn_of
-from jaxurban.maps.memory import check_fits
+from jaxurban.maps.at_once import (
+    MapInputs,
+    TooLargeError,
+    Window,
+    free_device_bytes,
+    inputs_of,
+    skies_of,
+    tile_at_once,
+)
+from jaxurban.maps.memory import check_fits, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.params import PAPER_ALTITUDES_M, MapParams
 from jaxurban.maps.recipe import tile_maps
 from jaxurban.maps.task import MapTask, empty_dataset, with_series
 from jaxurban.maps.tile_scene import TileScene
-from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene
+from jaxurban.maps.tiled import Tiling
 from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Dop, Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.population import Population, check_has_people
 from jaxurban.metrics.protection import Protection
-from jaxurban.metrics.registry import ON_REQUEST, known_metrics
 from jaxurban.metrics.risk import Risk
-from jaxurban.metrics.visibility import SkyView, visible_words
-from jaxurban.metrics.weights import Weights, WeightsLike
+from jaxurban.metrics.variables import TimeTotals, add_totals
+from jaxurban.metrics.visibility import SkyView
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
-from jaxurban.settings import SLABS, Heights
+from jaxurban.settings import Heights
 from jaxurban.world.grid import Grid, covering_grid
 from jaxurban.world.sky import Sky
-from jaxurban.world.surface import Surface, obstacle_mask
+from jaxurban.world.surface import Surface
 
 PAPER_TIME = "2020-04-27T16:00:00Z"
 
@@ -233,118 +232,62 @@ def view_sky(region: Grid, gps: Gps) -> Sky:
 
 
 def compute_maps(
-    task: MapTask, surface: Surface | None = None, stage: Stage = nullcontext
+    task: MapTask,
+    surface: Surface | None = None,
+    stage: Stage = nullcontext,
+    device_bytes: float | None = None,
 ) -> MetricMaps:
-    """Return the maps of a task, made in memory as one tile, and warn of the guesses behind them.
+    """Return the maps of a task, made in memory, and warn of the guesses behind them.
 
     Args:
       task: city, grid, sky and settings.
-      surface: the task's, where it is made already; left out, it is made here.
+      surface: the task's for the host, where it is made already; left out, it is made here.
       stage: gives the context that the work on each stage runs in.
+      device_bytes: let JAX's first device make the maps at once within so much of its memory, the CPU too; left out,
+        a GPU does so for large regions (`jaxurban.maps.at_once.free_device_bytes`).
     """
-    tile = TileScene(task, surface or task.surface())
     guesses = task.all_guesses
     warn_of(guesses, known=task.city.guesses)
     warn_of_jax(task.params.engine)
     ds = empty_dataset(task).assign_attrs(guesses=guesses_to(guesses))
-    with on_device_of(task.params.engine):
-        for name, place, values in tile_maps(tile, stage):
-            ds[name].values[place] = values
+    totals: dict[str, TimeTotals] = {}
+    device_bytes = device_bytes or free_device_bytes(task)
+    with on_host():
+        if device_bytes is None:
+            tiles: Iterable[Any] = [(..., TileScene(task, surface or task.surface()))]
+        else:
+            tiles = _tiles_at_once(task, device_bytes, stage)
+        for window, tile in tiles:
+            for name, place, values in tile_maps(tile, stage):
+                target = ds[name].values[place][window]
+                num_rows, num_cols = target.shape
+                target[:] = values[-num_rows:, :num_cols]
+            add_totals(totals, tile.totals)
+    check_has_data([ds["has_data"].values], task.city)
     base = task.city.sources.get("buildings")
-    return MetricMaps(ds if task.keeps_times else with_series(ds, task, tile.totals), base=base)
+    return MetricMaps(ds if task.keeps_times else with_series(ds, task, totals), base=base)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class MapInputs:
-    """What the maps of a region depend on besides the sky. ``A`` altitudes; may be traced.
-
-    Attributes:
-      surface: roofs, terrain and census blocks on the region and its margin.
-      altitudes_m: ``[A]`` above the ground.
-      ready: what metrics have made of these on the host, by name (`Metric.ready`): the lidar's beams go with the
-        altitudes.
-      settings: of the metrics by name; their leaves may be traced.
-      fixed: the same of metrics that look beyond a cell: how far decides shapes, so these are plain numbers.
-    """
-
-    surface: Surface
-    altitudes_m: Float[Array, " A"]
-    ready: dict[str, Any]
-    settings: dict[str, Any]
-    fixed: tuple[tuple[str, Any], ...] = field(metadata={"static": True})
-
-    @property
-    def metrics(self) -> dict[str, tuple[Metric, Any]]:
-        """The metrics with their settings, by name, in the order of the cost."""
-        settings = self.settings | dict(self.fixed)
-        return {
-            name: (metric, settings[name])
-            for name, metric in known_metrics().items()
-            if name in settings
-        }
-
-
-def inputs_of(task: MapTask) -> MapInputs:
-    """Return a task's surface and settings, made ready for `all_maps`.
+def _tiles_at_once(
+    task: MapTask, device_bytes: float, stage: Stage
+) -> Iterator[tuple[Window, TileScene]]:
+    """Yield what a device makes of a region, as one tile or, where that does not fit, as several.
 
     Raises:
-      InputError: the task needs what `all_maps` cannot do: slabs, finer cells for rays, bounds, spreads, own layers, or
-        a metric on request without a traced form.
+      TooLargeError: even the smaller tiles need more memory.
     """
-    params = task.params
-    if task.city.hanging == SLABS:
-        raise InputError(
-            'the maps as one function know no slabs: read the city with hanging = "to_ground", or make the maps with '
-            "build_maps"
-        )
-    if params.oversample > 1 or params.gps.bounds or params.heights.height_samples or task.layers:
-        raise InputError(
-            "the maps as one function know no oversample, bounds, height_samples or own layers: leave them out, or "
-            "make the maps with build_maps"
-        )
-    traced = {name: metric for name, metric in task.metrics.items() if metric.traced is not None}
-    untraced = [name for name in task.metrics if name in ON_REQUEST and name not in traced]
-    if untraced:
-        raise InputError(
-            f"the maps as one function hold no {' and no '.join(untraced)}: leave it out, or make the maps with "
-            "build_maps"
-        )
-
-    surface = task.surface().of_jax()
-    blocks = task.city.blocks
-    ready = {}
-    settings = {}
-    fixed = {}
-    for name, metric in traced.items():
-        # Settings that say where data are from get their defaults, as a program would be compiled for each of them.
-        default = metric.params()
-        unread = {source: getattr(default, source) for source in metric.sources}
-        own = replace(task.settings_of(metric), **unread)
-        if metric.reach_m(own):
-            fixed[name] = own
-        else:
-            settings[name] = own
-        if metric.ready is not None:
-            ready[name] = metric.ready(surface, params.altitudes_m, own, blocks)
-    altitudes_m = jnp.asarray(params.altitudes_m, surface.roof_m.dtype)
-    return MapInputs(surface, altitudes_m, ready, settings, tuple(fixed.items()))
-
-
-def skies_of(task: MapTask, surface: Surface) -> SkyView:
-    """Return the skies of all times of a task over its surface, every field stacked along the times ``[T, ...]``.
-
-    The sky of one time is ``jax.tree.map(lambda values: values[t], views)``; ``jax.vmap(all_maps, (None, 0))`` maps
-    over all of them. Times with fewer satellites in view than others get satellites without effect.
-
-    Args:
-      task: whose sky and clocks count.
-      surface: the task's, from `inputs_of`.
-    """
-    skies = [task.in_view(t) for t in range(task.num_times)]
-    most = max(1, *(len(in_view.numbers) for in_view in skies))  # satellites at a time
-    views = [SkyView.of(surface, *in_view.angles, most, in_view.clocks) for in_view in skies]
-    return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
+    shapes = task.region.shape, shape_of_tiles(task)
+    for shape in shapes:
+        tiling = Tiling.over(task.region, task.region, shape)
+        try:
+            for tile in tiling.region_tiles:
+                window = tiling.reported(tile)
+                grid = tiling.grid_of(tile)
+                yield window, tile_at_once(task, grid, window, stage, device_bytes)
+            return
+        except TooLargeError:
+            if shape == shapes[-1]:
+                raise
 
 
 @typed
@@ -395,78 +338,3 @@ def map_inputs(
     task = MapTask(city, grid, view_sky(grid, params.gps), params)
     inputs = inputs_of(task)
     return inputs, skies_of(task, inputs.surface)
-
-
-@typed
-def all_maps(inputs: MapInputs, sky: SkyView, weights: WeightsLike = None) -> dict[str, Array]:
-    """Return every map of a region at one time, by its variable. Pure: jit it, map over it, export it.
-
-    ``jax.vmap`` over any leaf: skies or times, roofs, altitudes with their beams, the GDOP threshold,
-    gammas, weights. Gradients are those of the hard maps: of the threshold, the gammas and the weights.
-
-    Args:
-      inputs: from `map_inputs`, which gives the skies too.
-      sky: of one time.
-      weights: give ``cost`` too, the weighted sum of the metrics' costs, ``[A, y, x]`` or, with population,
-        ``[A, D, y, x]``: what a step into a cell costs beside its length.
-
-    Returns:
-      ``obstacle`` uint8 ``[A, y, x]`` and all maps of each metric with a traced form: ``gps``, its DOPs and
-      ``num_visible``, ``lidar`` and ``risk`` ``[A, y, x]``, and with census blocks ``population`` and ``density``
-      ``[D, y, x]``. Inside obstacles, where `build_maps` has NaN, they are finite or, as DOPs, inf, so that gradients
-      stay finite; NaN where the surface has no data, but integers keep what they are there.
-
-    Raises:
-      InputError: skies of several times, or invalid weights.
-
-    Examples:
-      >>> import jax
-      >>> inputs, skies = ju.grad.map_inputs(city, maps.grid, altitudes_m=(60.0,))
-      >>> made = jax.jit(jax.vmap(ju.grad.all_maps, (None, 0)))(inputs, skies)  # all times
-      >>> made["gps"].shape, made["population"].shape
-      ((1, 1, 30, 30), (1, 2, 30, 30))
-    """
-    if np.ndim(sky.num):
-        raise InputError(
-            f"sky must be of one time, got {len(sky.num)}: take jax.vmap(all_maps, (None, 0)), or one by "
-            "jax.tree.map(lambda values: values[0], skies)"
-        )
-    surface = inputs.surface
-    altitudes_m = inputs.altitudes_m
-    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
-    maps = {"obstacle": is_obstacle.astype(jnp.uint8)}
-
-    # Which satellites each cell sees, none inside obstacles; then the metrics.
-    words = jnp.where(is_obstacle, jnp.uint32(0), visible_words(surface, altitudes_m, sky))
-    scene = Scene(surface, altitudes_m, words=words, satellites=sky.satellites, engine="jax")
-    for name, (metric, settings) in inputs.metrics.items():
-        assert metric.traced is not None
-        maps |= metric.traced(replace(scene, ready=inputs.ready.get(name)), settings)
-
-    if weights is not None:
-        maps["cost"] = _weighted(inputs, maps, Weights.of(weights))
-    if surface.has_data is not None:  # after the cost, so that its derivatives stay finite
-        has_data = surface.crop(surface.has_data)
-        for name, values in maps.items():
-            if jnp.issubdtype(values.dtype, jnp.floating):
-                maps[name] = jnp.where(has_data, values, jnp.nan)
-    return maps
-
-
-def _weighted(inputs: MapInputs, maps: dict[str, Array], weights: Weights) -> Array:
-    """Return the sum of the metrics' costs times their weights, ``[A, y, x]`` or, with times of day, ``[A, D, y, x]``.
-
-    Args:
-      inputs: name the metrics.
-      maps: of each metric, ``[A, y, x]`` or, with times of day, ``[D, y, x]``.
-      weights: by metric.
-    """
-    metrics = [metric for metric, _ in inputs.metrics.values()]
-    has_times = any(TIME_OF_DAY in metric.dims for metric in metrics)
-    total = jnp.zeros(())
-    for metric in metrics:
-        m = maps[metric.name]
-        if has_times:  # to the axes [A, D, y, x]
-            m = m[None] if TIME_OF_DAY in metric.dims else m[:, None]
-        total = total + jnp.asarray(weights[metric.name]) * metric.cost(m)
-    return total

@@ -42,7 +42,7 @@ def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
     """Return the tasks of a job for Dask, each with the tasks that must be done before it.
 
     A tile's maps need the rasters around it and the shadows that its neighbours hand on; shadows run from
-    tile to tile, away from the satellites of each quadrant.
+    tile to tile, away from the satellites of each quadrant. A device makes each tile alone.
 
     Args:
       job: the job.
@@ -62,6 +62,8 @@ def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
         near = [(neighbour, quadrant) for neighbour in tiling.upstream(tile, quadrant)]
         return [sweeps[key] for key in near if key in sweeps]
 
+    if job.device_bytes is not None:
+        return [task(finish_tile, tile, after=[]) for tile in tiling.region_tiles]
     rasters = {tile: task(raster_tile, tile, after=[]) for tile in tiling.tiles}
 
     # Shadows begin at the tiles nearest to the source, those with the largest dot product with its quadrant.

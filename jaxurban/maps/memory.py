@@ -13,7 +13,7 @@ import psutil
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import PEOPLE_SAMPLES
 from jaxurban.io.stored import GEOTIFF_FOLDER, ZARR_FOLDER
-from jaxurban.maps.free_memory import free_bytes, gpu_free_bytes
+from jaxurban.maps.free_memory import free_bytes
 from jaxurban.maps.task import MapTask, variables
 from jaxurban.metrics.base import TIME
 from jaxurban.progress import LOG
@@ -45,9 +45,6 @@ SPREAD_CELL_BYTES = 4 * 10 * 3
 SUBCELL_BYTES = 60
 # Of a cell in a row of tiles, all across the region, while a GeoTIFF is made of it.
 GEOTIFF_CELL_BYTES = 14
-# Of a satellite over a cell of the tile and its halo, on a GPU, where shadows are cast by doubling, as compiled for one
-# (benchmarks/cuda_compile.json).
-SHADOW_GPU_BYTES = 64
 # On the disk: of a cell of the region both its roofs, until maps are whole; the share of the maps' values that is
 # written, as compressed as any city's were, and of noise, once in Zarr, once as GeoTIFFs with their overviews.
 WORK_CELL_BYTES = 8
@@ -112,8 +109,7 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
         needed += _num_cells(tile, reach) * metric.cell_bytes
         is_by_jax = params.engine == "jax" or not metric.is_numba_over_terrain(settings)
         if task.has_terrain and is_by_jax:
-            # JAX's form over terrain (True) keeps on a CPU what it keeps on a GPU.
-            needed += int(metric.gpu_bytes(settings, tile, True))
+            needed += int(metric.terrain_bytes(settings, tile))
         if TIME in metric.dims:
             needed += num_cells * num_altitudes * (WORD_BYTES + series_bytes)
 
@@ -130,22 +126,6 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
     if margin_bytes:
         needed += margin_bytes * _num_cells(task.with_margin(tile))
     return needed
-
-
-def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
-    """Return about how many bytes of a GPU's memory the work on one tile takes at its highest.
-
-    Args:
-      task: what the maps are made of.
-      tile: a part of its region.
-    """
-    num_satellites = int(task.sky.is_in_view.sum(axis=1).max())
-    shadows = SHADOW_GPU_BYTES * num_satellites * _num_cells(task.with_halo(tile))
-    of_metrics = sum(
-        metric.gpu_bytes(task.settings_of(metric), tile, task.has_terrain)
-        for metric in task.metrics.values()
-    )
-    return int(tile_bytes(task, tile) + shadows + of_metrics)
 
 
 def maps_bytes(task: MapTask) -> int:
@@ -197,11 +177,10 @@ def plan_run(
       The number, a multiple of the number of processes.
 
     Raises:
-      InputError: not even one tile fits into the memory (or not one for each process), or none into that of the GPU.
+      InputError: not even one tile fits into the memory (or not one for each process).
     """
     # The largest tile of all resolutions, and the most tiles.
     largest_bytes = 0
-    largest_gpu_bytes = 0
     num_tiles = 1
     for task in tasks:
         region = task.region
@@ -211,18 +190,6 @@ def plan_run(
         geotiff_bytes = num_rows * region.num_cols * GEOTIFF_CELL_BYTES
         num_tiles = max(num_tiles, num_in_region)
         largest_bytes = max(largest_bytes, tile_bytes(task, tile), geotiff_bytes)
-        largest_gpu_bytes = max(largest_gpu_bytes, tile_gpu_bytes(task, tile))
-
-    # What fits into the memory of a GPU, if JAX has one.
-    free_gpu_bytes = gpu_free_bytes() if tasks[0].params.engine != "numba" else None
-    if free_gpu_bytes is not None:
-        if largest_gpu_bytes > free_gpu_bytes:
-            most_text, free_text = distinct_texts(largest_gpu_bytes, free_gpu_bytes)
-            raise InputError(
-                f"a tile needs about {most_text} of the GPU's memory and {free_text} are free: end what else "
-                "uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
-            )
-        num_workers = min(num_workers, free_gpu_bytes // largest_gpu_bytes)
 
     # What fits into the machine's memory beside the processes themselves and their programs.
     own_bytes = psutil.Process().memory_info().rss

@@ -53,6 +53,9 @@ def tile_maps(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
         if tile.has_data is not None and np.issubdtype(values.dtype, np.floating):
             values = np.where(tile.has_data, values, np.float32(np.nan))
         yield MapLayer(name, place, values)
+    for name, made in tile.made.items():
+        for place in np.ndindex(made.shape[:-2]):
+            yield MapLayer(name, place, made[place])
 
     has_data = tile.has_data
     if has_data is None:
@@ -75,14 +78,16 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     others = [metric for metric in task.metrics.values() if metric not in of_sky]
     for metric in of_sky:
         make = _maps if task.keeps_times else _statistics
-        yield from _staged(make(tile, metric), stage, metric.name)
+        if metric not in tile.of_device:
+            yield from _staged(make(tile, metric), stage, metric.name)
         if task.has_bounds(metric):
             yield from _staged(_bounds(tile, metric), stage, f"{metric.name}_bounds")
             tile.forget()
     tile.forget()
 
     for metric in others:
-        yield from _staged(_maps(tile, metric), stage, metric.name)
+        if metric not in tile.of_device:
+            yield from _staged(_maps(tile, metric), stage, metric.name)
     if task.params.heights.height_samples:
         yield from _staged(_height_spread(tile), stage, "height_spread")
     yield from _staged(_rasters(tile), stage, "surface")

@@ -25,6 +25,7 @@ from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
 from jaxurban.kernels.engine import num_cores, warn_of_jax
 from jaxurban.knowledge import guesses_to, warn_of
+from jaxurban.maps.at_once import free_device_bytes
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.executors import cluster_client, work_in_threads, work_on_cluster
 from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
@@ -41,7 +42,7 @@ from jaxurban.maps.task import MapTask, empty_dataset, with_series
 from jaxurban.maps.tiled import TileJob, Tiling
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES
-from jaxurban.metrics.variables import TimeTotals
+from jaxurban.metrics.variables import TimeTotals, add_totals
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
 from jaxurban.settings import NOMINAL, as_tuple
 from jaxurban.world.grid import Grid
@@ -408,7 +409,7 @@ def make_zarr(
     work = WorkFolder(stored.work_path(run.folder.resolve(), grid.resolution_m))
     for path in work.begin(f"{run.key} {shape}", run.map):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
-    job = TileJob(task, work, tiling)
+    job = TileJob(task, work, tiling, free_device_bytes(task))
     attrs = {RUN_KEY: run.key, "guesses": guesses_to(task.guesses)}
     empty = empty_dataset(task, _no_values).assign_attrs(attrs)
     if work.done(ZARR) is None:
@@ -428,9 +429,8 @@ def make_zarr(
         for name, busy_s in result["seconds"].items():
             seconds[name] += busy_s
         if "totals" in result:
-            for metric, facts in result["totals"].items():
-                sums = TimeTotals.of(facts)
-                totals[metric] = totals[metric] + sums if metric in totals else sums
+            more = {metric: TimeTotals.of(facts) for metric, facts in result["totals"].items()}
+            add_totals(totals, more)
             num_done += 1
             report(stage, num_done, len(tiling.region_tiles))
 

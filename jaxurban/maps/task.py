@@ -218,12 +218,17 @@ class MapTask:
         halo = math.ceil(self.reach_m / part.resolution_m)
         return part.padded(halo, halo, halo, halo)
 
-    def surface(self) -> Surface:
-        """Return the city's rasters on the region and its margin."""
+    def surface(self, part: Grid | None = None, around: Grid | None = None) -> Surface:
+        """Return the city's rasters on the region and its margin.
+
+        Args:
+          part: a part of the region instead.
+          around: the part with its margin.
+        """
         return build_surface(
             self.city,
-            self.region,
-            self.with_margin(),
+            part or self.region,
+            around or self.with_margin(),
             self.params.heights.all_touched,
             self.has_guessed_roofs,
             self.has_kinds,

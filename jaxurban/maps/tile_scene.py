@@ -1,6 +1,6 @@
 """TileScene: a tile of a task, and what its metrics may use of it, place by place."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -27,12 +27,16 @@ class TileScene:
       surface: roofs, terrain and blocks of the tile (``surface.region``) and of what its metrics look at around it.
       rings: the shadows that the tiles around hand on, by time and satellite; None where the surface itself holds all
         roofs that can shadow the tile.
+      of_device: the metrics that a device has made; the host makes all others.
+      made: their maps, as `jaxurban.maps.at_once.region_maps` gives them.
       totals: the tile's sums over free cells by metric, where statistics over time are kept; `tile_maps` fills it.
     """
 
     task: MapTask
     surface: Surface
     rings: Mapping[tuple[int, int], Ring] | None = None
+    of_device: Sequence[Metric] = ()
+    made: Mapping[str, np.ndarray] = field(default_factory=dict)
     totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
     _words: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
     _surfaces: dict[float, tuple[Surface, Surface | None]] = field(

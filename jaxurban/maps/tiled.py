@@ -16,14 +16,15 @@ from jaxurban.errors import InputError
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
-from jaxurban.kernels.engine import on_device_of
+from jaxurban.kernels.engine import on_host
 from jaxurban.kernels.shadows.blocks import hand_on
 from jaxurban.kernels.shadows.sweep import Ring
+from jaxurban.maps.at_once import Window, tile_at_once
 from jaxurban.maps.recipe import tile_maps
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics.visibility import ringed_lines
-from jaxurban.progress import Stopwatch
+from jaxurban.progress import Stage, Stopwatch
 from jaxurban.settings import SLABS
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import OF_REGION, ROOFS, Slabs, Surface
@@ -151,7 +152,7 @@ class Tiling:
             self.region, first_row=south, first_col=west, num_rows=num_rows, num_cols=num_cols
         )
 
-    def reported(self, tile: Tile) -> tuple[slice, slice]:
+    def reported(self, tile: Tile) -> Window:
         """Return the rows and columns of the region that a tile of the region reports.
 
         A tile that sticks out of the region in the south or east reports its northern rows and western columns alone.
@@ -205,11 +206,14 @@ class TileJob:
       task: what the maps are made of.
       work: where steps leave their results for each other.
       tiling: the tiles.
+      device_bytes: of memory, in which a device makes each tile's maps at once (`jaxurban.maps.at_once`); None where
+        the host makes them.
     """
 
     task: MapTask
     work: WorkFolder
     tiling: Tiling
+    device_bytes: float | None = None
 
     @cached_property
     def order(self) -> dict[Quadrant, list[tuple[int, int]]]:
@@ -372,22 +376,11 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     if facts is not None:
         return {**facts, "seconds": {}}
     watch = Stopwatch()
-
-    # What the tiles around have left for this one.
-    with watch.stage("surface"):
-        surface = _surface(job, tile)
-    with watch.stage("gps"):
-        rings = {}
-        for quadrant in QUADRANTS:
-            sides = _rings(job, tile, quadrant)
-            for number, time_and_satellite in enumerate(job.order[quadrant]):
-                rings[time_and_satellite] = Ring(*(side[number] for side in sides))
-
-    # The maps, each written when it is made.
-    scene = TileScene(job.task, surface, rings)
     window = job.tiling.reported(tile)
     checksums: dict[str, str] = {}
-    with on_device_of(job.task.params.engine):
+    with on_host():
+        scene = _scene(job, tile, window, watch.stage)
+        # The maps, each written when it is made.
         for layer in tile_maps(scene, watch.stage):
             with watch.stage("write_zarr"):
                 checksums |= write_layer(
@@ -398,6 +391,22 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     written = {f"{ZARR}/{file}": checksum for file, checksum in checksums.items()}
     job.work.mark_done(name, written, facts)
     return {**facts, "seconds": watch.elapsed_s}
+
+
+def _scene(job: TileJob, tile: Tile, window: Window, stage: Stage) -> TileScene:
+    """Return a tile of which a device makes the maps, or one with what the tiles around have left for it."""
+    if job.device_bytes is not None:
+        grid = job.tiling.grid_of(tile)
+        return tile_at_once(job.task, grid, window, stage, job.device_bytes)
+    with stage("surface"):
+        surface = _surface(job, tile)
+    with stage("gps"):
+        rings = {}
+        for quadrant in QUADRANTS:
+            sides = _rings(job, tile, quadrant)
+            for number, time_and_satellite in enumerate(job.order[quadrant]):
+                rings[time_and_satellite] = Ring(*(side[number] for side in sides))
+    return TileScene(job.task, surface, rings)
 
 
 def _surface(job: TileJob, tile: Tile) -> Surface:

@@ -254,7 +254,7 @@ class Metric:
       is_bracketed: whether one more satellite never makes it less, so that ``[gps] bounds`` can bracket it.
       is_numba_over_terrain: returns, of its settings, whether Numba makes it over terrain where the engine is
         ``"auto"``.
-      gpu_bytes: returns what its form for a GPU takes beside, of its settings, a tile and whether there is terrain.
+      terrain_bytes: returns what its form in JAX takes over terrain beside, of its settings and a tile.
       cell_bytes: what computing it holds at its highest, of each cell of a tile and of those within its reach; with a
         time, ``jaxurban.maps.memory`` adds what each altitude and each time of a series take.
       section: of the scenario, which holds its settings; left out, its name.
@@ -284,7 +284,7 @@ class Metric:
     caveat: str = ""
     is_bracketed: bool = False
     is_numba_over_terrain: Callable[[Any], bool] = lambda settings: False
-    gpu_bytes: Callable[[Any, Grid, bool], float] = none_of_it
+    terrain_bytes: Callable[[Any, Grid], float] = none_of_it
     cell_bytes: int = 16
     section: str = ""
     sources: tuple[str, ...] = ()

@@ -84,7 +84,7 @@ def soft_gps(
     """
     check_softness(softness_m)
     rows, cols = surface.window
-    window = rows.start, rows.stop, cols.start, cols.stop, 1  # 1: every cell is kept
+    window = rows.start, rows.stop, cols.start, cols.stop
     return _soft_gps(
         surface.roof_m,
         surface.of_hiding().roof_m,
@@ -121,10 +121,10 @@ def _soft_gps(
       roof_m, hiding_m, terrain_m: ``[Y, X]`` on the surface's grid: all roofs, those that hide satellites, and no
         terrain where the ground is flat.
       altitude_m, dop_threshold, softness_m, view, cells, reception, dop: as for `soft_gps`.
-      window: the region's first and end row, first and end column, and the step between cells.
+      window: the region's first and end row, first and end column.
     """
     roof_m = jnp.asarray(roof_m)
-    first_row, end_row, first_col, end_col, _ = window
+    first_row, end_row, first_col, end_col = window
     altitude = jnp.asarray(altitude_m, roof_m.dtype)
     threshold = jnp.asarray(dop_threshold, roof_m.dtype)
     softness = jnp.asarray(softness_m, roof_m.dtype)

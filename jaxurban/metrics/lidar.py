@@ -41,7 +41,6 @@ from jaxurban.world.surface import (
 # On a GPU, as compiled for one (benchmarks/cuda_compile.json).
 TERRAIN_GPU_BYTES = 400  # of a tile's own cell: the rays over terrain
 MOST_BEAMS_OF_A_BYTE = 126  # with more, each ray over terrain takes four bytes
-GPU_WORD_BYTES = 4.4  # over flat ground: 32 results of a step, and a tenth
 MAX_COUNT = 100_000  # beams, and scan positions: of a mistyped number no table of them is made
 STEPS_MULTIPLE = 8  # of a ray: ranges that differ by less share programs
 
@@ -481,24 +480,10 @@ def _traced(scene: Scene, params: Lidar) -> dict[str, Array]:
     return {"lidar": jnp.asarray(m)}
 
 
-def _gpu_bytes(params: Lidar, tile: Grid, has_terrain: bool) -> float:
-    """Return about how many bytes the lidar takes on a GPU beside the maps of a tile (`Metric.gpu_bytes`).
-
-    Over flat ground it keeps a bit per step for every cell in its range. A word of bits is for a band of 32 rows, and
-    each band has a halo of its own, so the cells around the tile are kept up to 32 times.
-
-    Args:
-      params: the lidar.
-      tile: the grid of its maps.
-      has_terrain: whether the ground is not flat.
-    """
-    if has_terrain:
-        ray_bytes = 1 if params.beams <= MOST_BEAMS_OF_A_BYTE else 4
-        return TERRAIN_GPU_BYTES * ray_bytes * tile.num_rows * tile.num_cols
-    steps = kernel.num_steps(tile.resolution_m, params.range_m)
-    halo = 2 * (steps - 1)
-    num_bands = -(-tile.num_rows // kernel.WORD_BITS)
-    return GPU_WORD_BYTES * steps * (num_bands + halo) * (tile.num_cols + halo)
+def _terrain_bytes(params: Lidar, tile: Grid) -> float:
+    """Return about how many bytes JAX's form over terrain takes beside the maps of a tile (`Metric.terrain_bytes`)."""
+    ray_bytes = 1 if params.beams <= MOST_BEAMS_OF_A_BYTE else 4
+    return TERRAIN_GPU_BYTES * ray_bytes * tile.num_rows * tile.num_cols
 
 
 METRIC = Metric(
@@ -517,6 +502,6 @@ METRIC = Metric(
     colour="#e69f00",
     colour_map="plasma",
     is_numba_over_terrain=lambda lidar: lidar.beams <= MOST_BEAMS,
-    gpu_bytes=_gpu_bytes,
+    terrain_bytes=_terrain_bytes,
     cell_bytes=40,  # counts and shares; what has returned, and bitmaps; a block of terrain
 )

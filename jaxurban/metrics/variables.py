@@ -7,7 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE, Metric, Scale, Variable
+from jaxurban.metrics.base import (
+    ALTITUDE,
+    TIME,
+    UNDERSIDE,
+    AnyArray,
+    Metric,
+    Scale,
+    Variable,
+)
 from jaxurban.world.footprints import UNKNOWN
 from jaxurban.world.kinds import GROUPS, OTHERS
 
@@ -213,24 +221,32 @@ def series_statistics(
         # sort along the first axis.
         ordered = np.sort(np.ascontiguousarray(flat[:, block].T), axis=1)
         counted = ordered > availability_threshold if available is None else available[:, block].T
-        statistics["availability"][block] = np.mean(counted, axis=1)
-        statistics["median"][block] = _quantile(ordered, 0.5)
-        statistics["p05"][block] = _quantile(ordered, LOW_SHARE)
+        for name, values in statistics_of_ordered(ordered, counted).items():
+            statistics[name][block] = values
     return {name: values.reshape(shape) for name, values in statistics.items()}
 
 
-def _quantile(ordered: np.ndarray, share: float) -> np.ndarray:
-    """Return a quantile of each row, ``[C]``, interpolated linearly between two values.
+def statistics_of_ordered(ordered: AnyArray, counted: AnyArray) -> dict[str, AnyArray]:
+    """Return the same of values ``[..., T]`` that ascend along T; ``counted`` is True where a position is available."""
+    return {
+        "availability": counted.mean(axis=-1),
+        "median": _quantile(ordered, 0.5),
+        "p05": _quantile(ordered, LOW_SHARE),
+    }
+
+
+def _quantile(ordered: AnyArray, share: float) -> AnyArray:
+    """Return a quantile along the last axis, interpolated linearly between two values.
 
     Args:
-      ordered: ``[C, T]`` values, ascending along T.
+      ordered: ``[..., T]`` values, ascending along T.
       share: of the values of a row that lie below the quantile, 0 to 1.
     """
-    last = ordered.shape[1] - 1
+    last = ordered.shape[-1] - 1
     position = share * last
     below = int(position)
-    low = ordered[:, below]
-    high = ordered[:, min(below + 1, last)]
+    low = ordered[..., below]
+    high = ordered[..., min(below + 1, last)]
     return low + np.float32(position - below) * (high - low)
 
 
@@ -268,3 +284,9 @@ class TimeTotals:
     def worst(self) -> np.ndarray:
         """Index of the time of least mean, ``[A]``; the earliest of several."""
         return self.m_sum.argmin(axis=0)
+
+
+def add_totals(totals: dict[str, TimeTotals], more: Mapping[str, TimeTotals]) -> None:
+    """Add the sums of a part of a region to those of others, by metric, in place."""
+    for name, sums in more.items():
+        totals[name] = totals[name] + sums if name in totals else sums

@@ -116,7 +116,7 @@ def visible_words(
     """
     surface = surface.of_hiding()
     rows, cols = surface.window
-    window = rows.start, rows.stop, cols.start, cols.stop, 1  # 1: every cell is kept
+    window = rows.start, rows.stop, cols.start, cols.stop
     height_m = _heights(surface.crop(surface.terrain_m), altitudes_m)
     return sweep.visible_words(surface.top_m, height_m, sky.lines, sky.num, window=window)
 

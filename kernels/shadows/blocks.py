@@ -1,4 +1,4 @@
-"""Shadows over a grid of any shape by one compiled program: in square blocks that hand on to each other.
+"""Shadows over a grid of any shape by one compiled program of a CPU: in square blocks that hand on to each other.
 
 A block is cast with what its neighbours toward the source hand on as a ring around it, so its answers are those of the
 whole grid, to the bit. For each quadrant of the sky the first block lies in the grid's corner toward the source; the
@@ -20,16 +20,12 @@ from jaxtyping import Array, Float, Int, UInt
 
 from jaxurban.kernels.blocks import LARGE, SMALL, part_of
 from jaxurban.kernels.shadows.sweep import (
-    EAST,
     ENTRY_STEPS,
     NORTH,
     SOUTH,
     WORD_BITS,
     Line,
     Ring,
-    doubled,
-    num_passes,
-    within,
 )
 from jaxurban.programs import kept_jit
 
@@ -356,6 +352,8 @@ def cast(
 ) -> tuple[UInt[Array, "A t t"], Float[Array, "S T"], Float[Array, "S T"]]:
     """Return the word of a block's receivers, and the row and the column that the block hands on.
 
+    Satellites are cast one after the other; those that fill up are left out.
+
     Args:
       block: the block with its satellites.
       every: n: receivers stand in every n-th cell both ways.
@@ -364,14 +362,6 @@ def cast(
       ``[A, t, t]`` uint32 with the bits of the satellites seen; ``[S, T]`` the row and ``[S, T]`` the column of
       ``max(raised, sweep)`` numbered by ``block.last``.
     """
-    by_sweep, by_doubling = (
-        partial(form, every=every) for form in (cast_by_sweep, cast_by_doubling)
-    )
-    return lax.platform_dependent(block, cpu=by_sweep, default=by_doubling)
-
-
-def cast_by_sweep(block: Block, *, every: int) -> tuple[Array, Array, Array]:
-    """Return `cast`, by the form for a CPU: satellite by satellite; the satellites that fill up are left out."""
     side = len(block.roofs.top_m)
     dtype = block.roofs.top_m.dtype
     # By `Line.heading`: NORTH, SOUTH, EAST, WEST.
@@ -467,29 +457,3 @@ def _cast_along_columns(
         turned, line, turned_ring, every=every, toward_last=toward_last
     )
     return received_m.T, row_m, col_m
-
-
-def cast_by_doubling(block: Block, *, every: int) -> tuple[Array, Array, Array]:
-    """Return `cast`, by the form for a GPU: for all satellites at once."""
-    roofs = block.roofs
-    side = len(roofs.top_m)
-    last_row, last_col = block.last
-
-    def cast_one(line: Line, ring: Ring) -> tuple[Array, Array, Array]:
-        """Return one line's shadow at the receivers, ``[t, t]``, and the row and the column that are handed on."""
-        top_m = jnp.asarray(roofs.top_m)
-        if roofs.turned_m is not None:
-            top_m = jnp.where(line.heading >= EAST, roofs.turned_m, top_m)
-        raised_m = top_m + roofs.entry_steps * jnp.asarray(line.drop_m, top_m.dtype)
-        shadow_m = doubled(within(raised_m, ring), line, num_passes(side + 2))[1:-1, 1:-1]
-        carried_m = jnp.maximum(raised_m, shadow_m)
-        size = side - every + 1
-        received_m = lax.dynamic_slice(shadow_m, block.phase, (size, size))[::every, ::every]
-        return received_m, carried_m[last_row], carried_m[:, last_col]
-
-    shadows_m, rows, cols = jax.vmap(cast_one)(block.lines, block.rings)
-    bits = jnp.where(jnp.arange(len(block.bits)) < block.num, block.bits, jnp.uint32(0))
-    seen = jnp.where(
-        shadows_m[:, None] <= block.height_m[None], bits[:, None, None, None], jnp.uint32(0)
-    )
-    return lax.reduce(seen, jnp.uint32(0), lax.bitwise_or, (0,)), rows, cols

@@ -28,7 +28,7 @@ def scene() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray,
 def test_every_ray_has_the_shadow_of_the_sweep_over_the_whole_grid():
     top_m, azimuth, elevation, s, row, col = scene()
     lines = digital_lines(azimuth, elevation, RESOLUTION_M, FIRST_ROW, FIRST_COL, top_m.shape)
-    swept_m = np.asarray(shadow_heights(top_m, stacked(lines), (0, NUM_ROWS, 0, NUM_COLS, 1)))[
+    swept_m = np.asarray(shadow_heights(top_m, stacked(lines), (0, NUM_ROWS, 0, NUM_COLS)))[
         s, row, col
     ]
     own = walks(azimuth[s], elevation[s], RESOLUTION_M, FIRST_ROW + row, FIRST_COL + col)

@@ -14,25 +14,18 @@ from hypothesis import strategies as st
 import jaxurban as ju
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.blocks import SMALL
-from jaxurban.kernels.shadows import blocks
-from jaxurban.kernels.shadows.blocks import (
-    Receivers,
-    cast_by_doubling,
-    cast_by_sweep,
-    hand_on,
-    mark_visible,
-)
+from jaxurban.kernels.shadows.blocks import Receivers, hand_on, mark_visible
 from jaxurban.kernels.shadows.sweep import (
     ENTRY_STEPS,
     Ring,
     digital_line,
     digital_lines,
+    doubled,
     heights_by_doubling,
     heights_by_sweep,
-    num_passes,
     shadow_height,
-    shadow_heights_at_once,
     stacked,
+    sweep,
     words_by_doubling,
     words_by_sweep,
 )
@@ -49,7 +42,7 @@ AZIMUTH_RAD = np.radians(
 ELEVATION_RAD = np.radians([5, 31, 12, 60, 8, 20, 75, 90, 30, 9, 14, 22, 41, 17, 50, 6, 0, 0])
 ALTITUDES_M = (10.0, 60.0)
 ROUNDING_M = 1e-3
-INNER, WINDOW = (slice(4, 16), slice(7, 22)), (4, 16, 7, 22, 1)
+INNER, WINDOW = (slice(4, 16), slice(7, 22)), (4, 16, 7, 22)
 
 
 def tops(shape=SHAPE, dtype=np.float32):
@@ -65,9 +58,19 @@ def lines_over(shape, first=FIRST, growth=1, which=slice(None)):
     )
 
 
-def swept(top_m, lines, rings=None):
-    each = zip(lines, rings or [None] * len(lines), strict=True)
-    return np.stack([np.asarray(shadow_height(top_m, line, ring)) for line, ring in each])
+def swept(top_m, lines):
+    return np.stack([np.asarray(shadow_height(top_m, line)) for line in lines])
+
+
+def swept_within(part_m, lines, rings):
+    """Return what `swept` does, of a part inside the ring of one cell that its neighbours hand on to each line."""
+    shadows_m = []
+    for line, ring in zip(lines, rings, strict=True):
+        raised_m = part_m + ENTRY_STEPS * np.asarray(line.drop_m, part_m.dtype)
+        rows = np.concatenate([ring.west[:, None], raised_m, ring.east[:, None]], axis=1)
+        grown_m = np.concatenate([ring.south[None], rows, ring.north[None]])
+        shadows_m.append(np.asarray(sweep(grown_m, line))[1:-1, 1:-1])
+    return np.stack(shadows_m)
 
 
 def words_of(shadows_m, receivers_m):
@@ -120,9 +123,10 @@ def test_shadow_heights_equal_a_walk_along_every_line_by_one_program():
 
 
 def test_fewer_passes_leave_out_only_what_stands_farther():
-    near = shadow_heights_at_once(
-        tops(), stacked(lines_over(SHAPE, growth=0)), passes=num_passes(8)
-    )
+    near = [
+        doubled(tops() + ENTRY_STEPS * np.float32(line.drop_m), line, passes=3)
+        for line in lines_over(SHAPE, growth=0)
+    ]
     np.testing.assert_allclose(near, walks(8), atol=ROUNDING_M)
 
 
@@ -162,7 +166,7 @@ def test_the_derivative_of_a_shadow_is_that_of_its_one_roof(form):
     top_m, expected = np.zeros(SHAPE, np.float32), np.zeros(SHAPE)
     top_m[12, 9], expected[12, 9] = 60.0, 1.0
     lines = stacked(digital_lines([0.0], [math.radians(30)], 5.0, *FIRST, SHAPE))
-    slope = jax.grad(lambda top: form(top, lines, (0, *SHAPE[:1], 0, *SHAPE[1:], 1))[0, 8, 9])(
+    slope = jax.grad(lambda top: form(top, lines, (0, *SHAPE[:1], 0, *SHAPE[1:]))[0, 8, 9])(
         jnp.asarray(top_m)
     )
     np.testing.assert_array_equal(slope, expected)
@@ -172,23 +176,12 @@ def test_the_derivative_of_a_shadow_is_that_of_its_one_roof(form):
 @pytest.mark.parametrize("shape", [SHAPE, (1, 9), (9, 1)])
 def test_doubling_throws_the_sweeps_shadows_in_every_direction(shape):
     top_m, lines = tops(shape), lines_over(shape, growth=0)
-    found = shadow_heights_at_once(top_m, stacked(lines), passes=num_passes(max(shape)))
+    found = heights_by_doubling(top_m, stacked(lines), (0, shape[0], 0, shape[1]))
     np.testing.assert_allclose(found, swept(top_m, lines), atol=ROUNDING_M)
 
 
-FORMS = [cast_by_sweep, pytest.param(cast_by_doubling, marks=pytest.mark.slow)]
-
-
-@pytest.fixture
-def form(request, monkeypatch):
-    """Cast every block by one of the two forms."""
-    monkeypatch.setattr(blocks, "cast", jax.jit(request.param, static_argnames="every"))
-    return request.param
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("form", FORMS, indirect=True)
-def test_a_part_within_the_ring_of_its_neighbours_hands_on_the_higher_of_roof_and_shadow(form):
+def test_a_part_within_the_ring_of_its_neighbours_hands_on_the_higher_of_roof_and_shadow():
     whole, lines = (
         swept(tops(), lines_over(SHAPE, growth=0)),
         lines_over((12, 15), (FIRST[0] + 4, FIRST[1] + 7)),
@@ -199,15 +192,12 @@ def test_a_part_within_the_ring_of_its_neighbours_hands_on_the_higher_of_roof_an
     carried = np.maximum(raised_m, whole)
     rings = [Ring(c[0], c[-1], c[1:-1, 0], c[1:-1, -1]) for c in carried[:, 3:17, 6:23]]
     part_m, expected = tops()[INNER].copy(), carried[:, *INNER]
-    np.testing.assert_array_equal(swept(part_m, lines, rings), whole[:, *INNER])
+    np.testing.assert_array_equal(swept_within(part_m, lines, rings), whole[:, *INNER])
     rows, cols = hand_on(part_m, stacked(lines), by_side(rings))
     for s, line in enumerate(lines):
         last = [0 if ahead > 0 else -1 for ahead in line.toward]
-        np.testing.assert_allclose(rows[s], expected[s, last[0]], atol=ROUNDING_M)
-        np.testing.assert_allclose(cols[s], expected[s, :, last[1]], atol=ROUNDING_M)
-        if form is cast_by_sweep:
-            np.testing.assert_array_equal(rows[s], expected[s, last[0]])
-            np.testing.assert_array_equal(cols[s], expected[s, :, last[1]])
+        np.testing.assert_array_equal(rows[s], expected[s, last[0]])
+        np.testing.assert_array_equal(cols[s], expected[s, :, last[1]])
 
 
 @pytest.mark.slow
@@ -241,10 +231,7 @@ def test_soft_shadows_have_the_same_gradients_by_both_forms():
     ],
 )
 @pytest.mark.parametrize("has_terrain", [False, True])
-@pytest.mark.parametrize("form", FORMS, indirect=True)
-def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(
-    form, shape, window, has_terrain
-):
+def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(shape, window, has_terrain):
     top_m = tops(shape)
     top_m[shape[0] // 2, shape[1] // 3] = np.nan  # unknown: hides what lies behind it
     ground_m = np.random.default_rng(1).uniform(0, 20, shape).astype(np.float32)[window]
@@ -257,7 +244,7 @@ def test_a_satellite_is_seen_where_its_shadow_is_not_above_the_receiver(
     receivers = Receivers(first_cell, 1, ground_m if has_terrain else None, altitudes_m)
     mark_visible(words, top_m, receivers, stacked(lines_over(shape)))
     expected = words_of(swept(top_m, lines_over(shape, growth=0))[:, *window], receivers_m)
-    assert np.mean(words != expected) <= (0 if form is cast_by_sweep else 1e-4)
+    np.testing.assert_array_equal(words, expected)
 
 
 @pytest.mark.slow
@@ -354,7 +341,7 @@ def test_the_words_of_a_city_are_equal_by_all_forms(has_terrain):
     view = SkyView.of(surface, *sky)
     for form in (words_by_sweep, words_by_doubling):
         words = jax.jit(form, static_argnames="window")(
-            surface.top_m, height_m, view.lines, view.num, window=(50, 150, 50, 150, 1)
+            surface.top_m, height_m, view.lines, view.num, window=(50, 150, 50, 150)
         )
         np.testing.assert_array_equal(words, in_blocks)
     assert 0.4 < np.mean([in_blocks >> s & 1 for s in range(len(AZIMUTH_RAD))]) < 0.99

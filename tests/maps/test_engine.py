@@ -126,7 +126,7 @@ def test_numba_beside_a_gpu_is_planned_and_recorded_as_on_a_cpu(town, tmp_path, 
     town.write_text(TOWN.replace("[buildings]", 'engine = "numba"\n[buildings]'))
     with monkeypatch.context() as patched:
         patched.setattr("jax.default_backend", lambda: "gpu")
-        patched.setattr("jaxurban.maps.memory.gpu_free_bytes", lambda: 1)
+        patched.setattr("jaxurban.maps.at_once.gpu_free_bytes", lambda: 1)
         made = run_scenario(ju.Scenario.from_toml(town), tmp_path / "beside", progress=False).record
     again = run_scenario(ju.Scenario.from_toml(town), tmp_path / "beside", progress=False).record
     assert made["run_key"] == again["run_key"]

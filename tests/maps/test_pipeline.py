@@ -10,7 +10,8 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.maps.build import all_maps, compute_maps, inputs_of, skies_of, view_sky
+from jaxurban.maps.at_once import all_maps, inputs_of, skies_of
+from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.differentiable import CELLS_STEP, SoftCity, SoftParams, path_visits
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask

@@ -12,7 +12,8 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.maps.build import compute_maps, inputs_of, view_sky
+from jaxurban.maps.at_once import inputs_of
+from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.differentiable import soften
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask

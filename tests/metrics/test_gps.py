@@ -11,7 +11,8 @@ import pytest
 import jaxurban as ju
 from jaxurban.kernels.dop import Clocks, unit_vectors
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
-from jaxurban.maps.build import compute_maps, skies_of, view_sky
+from jaxurban.maps.at_once import skies_of
+from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.differentiable import soften
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import run_scenario

@@ -334,12 +334,8 @@ def build_surface(
       grid: of roofs and terrain.
       all_touched: a roof covers every cell that its outline shares area with, and not only those whose centre it holds.
       has_guessed, has_kinds: as for `rasterise`.
-
-    Raises:
-      InputError: the terrain or the height raster does not cover any of the region.
     """
     surface = replace(rasterise(city, grid, all_touched, has_guessed, has_kinds), region=region)
-    check_has_data([surface.crop(surface.has_data)], city)
     of_region: dict[str, Any] = {"block": rasterise_blocks(city, region)}
     for name in OF_REGION:
         of_region[name] = surface.crop(getattr(surface, name))

@@ -181,7 +181,7 @@ def test_both_forms_of_the_shadows_know_where_no_roof_is():
     top_m, lines, window = (
         jnp.where(roof_m > 0, roof_m, -jnp.inf),
         LEVEL.view().lines,
-        (9, 24, 9, 27, 1),
+        (9, 24, 9, 27),
     )
     swept, doubled = (
         form(top_m, lines, window) for form in (heights_by_sweep, heights_by_doubling)
@@ -227,9 +227,7 @@ def margins(log, city, region):
     top_m = jnp.where(jnp.asarray(surface.roof_m) > 0, surface.roof_m, -jnp.inf)
     rows, cols = surface.window
     cast = jax.jit(
-        lambda lines: shadow_heights(
-            top_m, lines, (rows.start, rows.stop, cols.start, cols.stop, 1)
-        )
+        lambda lines: shadow_heights(top_m, lines, (rows.start, rows.stop, cols.start, cols.stop))
     )
     edge_m = np.empty(len(log))
     for number, line in enumerate(lines):
