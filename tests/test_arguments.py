@@ -329,7 +329,7 @@ USES: dict[str, Callable[..., Any]] = {
         on.city(), on.made_grid(), **{"altitudes_m": (20.0,)} | given
     ),
     "planned_cost": lambda **given: ju.grad.planned_cost(
-        on.on().problem.between((2, 2), (30, 2)), **given
+        on.on().problem.between((2, 2), (30, 30)), **given
     )(on.on().costs, on.on().weight_vector),
     "soft_city": lambda **given: on.soft(ju.grad.SoftParams(20.0), **given),
     "Dop": lambda **given: on.made(gps_horizontal=ju.metrics.Dop(**given)),
@@ -1304,10 +1304,6 @@ NAMED_IN_VAIN: dict[str, tuple[Callable[[], Any], str]] = {
     "people of a city without": (
         lambda: ju.build_maps(few(), population=ju.Population(gamma_commercial=2.0)),
         "population has settings and the city has no people",
-    ),
-    "a resolution for rays": (
-        lambda: ju.sky(on.city(), (-73.97, 40.78), 20.0, resolution_m=5.0),
-        "rays follow outlines",
     ),
     **{
         f"a weight of people, {name}": (call, "population")

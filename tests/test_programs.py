@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 from llvmlite import binding
 
 import jaxurban as ju
@@ -46,10 +47,12 @@ def cache(monkeypatch, tmp_path) -> Iterator[Path]:
     """An empty cache folder of the user; JAX's own cache is off, so that what is compiled is counted."""
     folder = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", None)
+    compilation_cache.reset_cache()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     fresh()
     yield tmp_path
     jax.config.update("jax_compilation_cache_dir", folder)
+    compilation_cache.reset_cache()
     fresh()
 
 

@@ -25,7 +25,7 @@ from scipy.stats import rankdata
 from scipy.stats import t as student
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.tracks import LAT, LON, OTHER_NAMES, RULES, UTC, Rule, checked, renamed
+from jaxurban.io.read.tracks import LAT, LON, RULES, UTC, Rule, checked, renamed
 from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
 from jaxurban.kernels.shadows.sweep import WORD_BITS
@@ -133,7 +133,7 @@ def read_counts(source: str | Path | pd.DataFrame) -> pd.DataFrame:
     if not isinstance(source, pd.DataFrame):
         what = f"{what} {str(source)!r}"
         source = read_table(located(source), "log of counts")
-    log = renamed(source, OTHER_NAMES)
+    log = renamed(source)
     known = [name for name in (UTC, LON, LAT, *WITNESSES) if name in log]
     if known[:3] != [UTC, LON, LAT] or len(known) == 3 or log.empty:
         raise InputError(

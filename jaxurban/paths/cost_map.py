@@ -417,6 +417,9 @@ class CostMap(FactsRepr):
             is free, or 0 if it is on none.
           cell: row and column of the end.
 
+        Returns:
+          The number.
+
         Raises:
           InputError: an altitude that is none of the levels, or any altitude on a map without levels.
         """

@@ -44,7 +44,7 @@ def maps():
 
 def ends_of(maps, altitude_m):
     """Return the first and the last cell of the largest region within the horizontal alert limit."""
-    parts, _ = label(maps.is_free(altitude_m) & (maps.m("hpl", altitude_m) <= 40))
+    parts, _ = label(ju.Constraints().is_free(maps, altitude_m) & (maps.m("hpl", altitude_m) <= 40))
     largest = np.argwhere(parts == np.bincount(parts[parts > 0]).argmax())
     return tuple(tuple(map(float, maps.grid.lonlat_of_cell(*largest[at]))) for at in (0, -1))
 

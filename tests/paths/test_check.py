@@ -801,7 +801,7 @@ def test_missions_keep_the_fences_that_they_are_written_with(town, tmp_path):
     zone = Zone("stadium", shapely.box(*(middle_m - 50), *(middle_m + 50)), town.grid.crs)
     limits = ju.Constraints(zones=(zone,))
     path = ju.plan(town, altitude_m=20.0, constraints=limits, **ends)
-    path.save(tmp_path / "x.plan", fence_roofs_m=5.0)
+    path.save(tmp_path / "x.plan", fence_roofs_m=8.0)
     result = ju.check(town, tmp_path / "x.plan", sources=city)
     assert result.state == "clean", result
     assert result.figures["num_zones"] > 1
@@ -817,7 +817,7 @@ def test_a_path_is_judged_as_its_file_is_but_for_climb_and_landing(town, tmp_pat
     city = ju.demo_city(1_000, 1_000)
     limits = ju.Constraints.read(clearance_m=5.0, require="gps>=0.01")
     cells = np.argwhere(ju.cost_map(town, 60.0, constraints=limits).is_free)
-    ends = ends_at(town, *cells[[10, -10]])
+    ends = ends_at(town, *cells[[20, -20]])
     path = ju.plan(
         town, altitude_m=60.0, planner=planner, constraints=limits, objective="distance", **ends
     )

@@ -27,8 +27,8 @@ from pyproj import Geod
 
 from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
+from jaxurban.io.read.broken import BROKEN
 from jaxurban.io.read.heights import is_blank
-from jaxurban.io.read.sniff import BROKEN
 from jaxurban.io.read.vector import open_layers
 from jaxurban.io.read.zone import TURN, Zone, made_valid
 

@@ -1,7 +1,6 @@
 """What a file is: by its first bytes and keys, not by its name alone. Packed files are unpacked."""
 
 import bz2
-import csv
 import gzip
 import re
 import shlex
@@ -12,19 +11,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import ParseError
-
-from shapely.errors import ShapelyError
 
 from jaxurban.errors import InputError, readable
 from jaxurban.io.files import UNPACKING, remove
 
 DATABASE = ".gdb"  # of Esri: a folder, or packed as .gdb.zip
-# What readers and their libraries raise of a file that is damaged, or whose parts are missing or of another kind.
-BROKEN = (
-    *(ArithmeticError, AttributeError, LookupError, NameError, RuntimeError, TypeError, ValueError),
-    *(csv.Error, ParseError, ShapelyError),
-)
 PANIC = "PanicException"  # of libraries in Rust, under a module of its own each
 LIDAR = ".laz"  # of LAS and COPC too
 HEAD_BYTES = 1 << 16  # that are looked at; GDAL looks at fewer
@@ -92,6 +83,8 @@ def in_own_words(*errors: type[Exception]) -> Iterator[None]:
     Raises:
       ValueError: the file is damaged.
     """
+    from jaxurban.io.read.broken import BROKEN  # imported here: it brings Shapely
+
     caught = (OSError, *BROKEN, *errors)
     try:
         with warnings.catch_warnings():

@@ -10,11 +10,11 @@ from jaxurban import settings
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.files import UNPACKING, visible_files
 from jaxurban.io.read.bodies import outlines_of
+from jaxurban.io.read.broken import BROKEN
 from jaxurban.io.read.citygml import read_citygml
 from jaxurban.io.read.cityjson import read_cityjson
 from jaxurban.io.read.outlines import Near, Outlines, joined
 from jaxurban.io.read.sniff import (
-    BROKEN,
     DATABASE,
     MOST_TIMES,
     MOST_UNPACKED,
