@@ -143,7 +143,7 @@ def on() -> ju.CostMap:
 
 @functools.cache
 def instances() -> pd.DataFrame:
-    return ju.studies.sample_instances(maps(), 3, weights=[ju.Weights(risk=5.0)])
+    return ju.studies.sample_instances(maps(), 8, weights=[ju.Weights(risk=5.0)])
 
 
 @functools.cache
