@@ -432,7 +432,7 @@ CEILING = SHOWN(
     "ceiling_m",
     default=CEILING_M,
     metavar="METRES",
-    help="Greatest height above the ground that may be flown.",
+    help="Greatest height of a return, above the ground at home; legs are not held against it.",
 )
 LIMITS = grouped(
     "constraints",

@@ -1,5 +1,7 @@
 """What known heights say of unknown ones: medians, the order statistic, own and packaged values, the user's word."""
 
+import json
+
 import numpy as np
 import pytest
 import shapely
@@ -23,6 +25,15 @@ from tests.io.made_files import write_vector
 
 UTM = "EPSG:32618"
 SMALL, LARGE = "buildings of 60 to 200 m2", "buildings above 1,000 m2"
+
+
+def shapely_features(features: list[tuple[shapely.Geometry, dict[str, str]]]) -> str:
+    """Return the text of a GeoJSON file of geometries and their tags."""
+    listed = [
+        {"type": "Feature", "geometry": shapely.geometry.mapping(shape), "properties": tags}
+        for shape, tags in features
+    ]
+    return json.dumps({"type": "FeatureCollection", "features": listed})
 
 
 def houses(num: int, height_m: np.ndarray | float, side_m: float = 10.0) -> tuple[list, list]:
@@ -163,6 +174,40 @@ def test_bound_ends_where_the_file_knows_higher_ones_and_at_the_users_word(tmp_p
         limits_m(highest_m={"trees": 3.0})
     with pytest.raises(ju.InputError, match="above 0"):
         ju.Buildings(path, highest_m=0.0)
+
+
+def test_users_word_takes_nothing_back_that_the_file_says(tmp_path):
+    path = tmp_path / "town.geojson"
+    house = shapely.box(8.0, 48.0, 8.0002, 48.0002)
+    features = [
+        (house, {"building": "yes", "height": "50"}),
+        (shapely.Point(8.0001, 48.0001), {"man_made": "mast"}),
+        (shapely.Point(8.001, 48.0001), {"man_made": "mast"}),
+        (
+            shapely.transform(house, lambda xy: xy + np.array([0.002, 0])),
+            {"building": "yes", "building:levels": "30"},
+        ),
+        (
+            shapely.transform(house, lambda xy: xy + np.array([0.004, 0])),
+            {"building:part": "yes", "min_height": "60"},
+        ),
+        (shapely.transform(house, lambda xy: xy + np.array([0.006, 0])), {"building": "yes"}),
+    ]
+    path.write_text(shapely_features(features))
+    word = ju.Buildings(path, highest_m={"building": 12.0, "mast": 10.0})
+    read = read_buildings(word, UTM)
+    said = read_buildings(ju.Buildings(path), UTM)
+    levels, floor, plain = (
+        read.buildings.polygons.tolist().index(each) for each in said.buildings.polygons[-3:]
+    )
+    assert (
+        read.buildings.height_m[[levels, floor]].tolist()
+        == said.buildings.height_m[[levels, floor]].tolist()
+    )
+    assert read.buildings.upper_m[levels] == 90
+    assert read.buildings.upper_m[floor] == np.inf
+    assert read.buildings.upper_m[plain] == 12
+    assert read.structures.upper_m.tolist() == [np.inf, 10]
 
 
 def test_word_of_the_user_is_a_guess_of_the_city_and_of_its_scenario(tmp_path):

@@ -121,7 +121,7 @@ def to_buildings(
     issues[ReadIssue.UNKNOWN_EXTENT] = int(np.sum(is_unknown))
     issues[ReadIssue.UNKNOWN_HEIGHT] = int(np.sum(structures.is_guessed & ~is_unknown))
     learned = of_buildings | of_kinds
-    return WhatStands(buildings, _within(structures, file), boxes_m, issues, learned)
+    return WhatStands(buildings, _within(structures, file, buildings), boxes_m, issues, learned)
 
 
 def _in_city(
@@ -379,17 +379,29 @@ def _learned(
     return learned_from(classes, *known_m), classes
 
 
-def _within(footprints: Footprints, rules: settings.Buildings) -> Footprints:
-    """Return outlines whose guessed heights and bounds end at what the user says of their kinds."""
+def _within(
+    footprints: Footprints, rules: settings.Buildings, below: Footprints | None = None
+) -> Footprints:
+    """Return outlines whose guessed heights and bounds end at what the user says of their kinds.
+
+    What the file itself says, such as levels or a floor, is not taken back: a bound ends there where that is higher.
+
+    Args:
+      footprints: the outlines.
+      rules: the user's word.
+      below: on which these may stand: heights count from the ground, so the word does not count there.
+    """
     kinds = footprints.kinds
     by_kind = {kind: settings.highest_of(rules, kind) for kind in {*kinds}}
     highest_m = np.array([by_kind[kind] for kind in kinds], float)
-    highest_m[~footprints.is_guessed] = np.inf
-    return replace(
-        footprints,
-        height_m=np.minimum(footprints.height_m, highest_m),
-        limit_m=np.minimum(footprints.upper_m, highest_m),
-    )
+    highest_m[~footprints.is_guessed | (footprints.min_height_m >= highest_m)] = np.inf
+    if below is not None and np.isfinite(highest_m).any():
+        standing, _ = shapely.STRtree(below.polygons).query(footprints.polygons, "intersects")
+        highest_m[standing] = np.inf
+    is_unsaid = np.isin(footprints.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNKNOWN))
+    height_m = np.where(is_unsaid, np.minimum(footprints.height_m, highest_m), footprints.height_m)
+    limit_m = np.minimum(footprints.upper_m, np.maximum(highest_m, height_m))
+    return replace(footprints, height_m=height_m, limit_m=limit_m)
 
 
 def _limits_m(
