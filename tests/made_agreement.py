@@ -52,7 +52,7 @@ def made() -> ju.studies.ReceiverValidation:
     track = track_of("a drive", drive(), grid_of(scenario()), 30.0)
     places = {"x_m": track.x_m, "y_m": track.y_m, "along_m": track.along_m}
     epochs = drive().assign(**places, num_visible=5.0, num_heard=4.0)
-    start = epochs.iloc[20]
+    start = epochs.iloc[300]
     columns = [
         "satellite",
         "azimuth_deg",
@@ -63,10 +63,7 @@ def made() -> ju.studies.ReceiverValidation:
         "is_strong",
     ]
     there = rows[rows.epoch == 30][columns].reset_index(drop=True)
-    places = [
-        (end.lon_deg, end.lat_deg, end.utc.isoformat(), np.linspace(5, 60, 360), there)
-        for end in (start, epochs.iloc[-1])
-    ]
+    place = start.lon_deg, start.lat_deg, start.utc.isoformat(), np.linspace(5, 60, 360), there
     left_out = {"E18": "unhealthy"}
     return ju.studies.ReceiverValidation(
         log=ReceiverLog("log.csv", drive(), rows[columns[:4]].assign(epoch=rows.epoch), left_out),
@@ -91,10 +88,7 @@ def made() -> ju.studies.ReceiverValidation:
         epochs=epochs,
         rows=rows.assign(state=np.where(rows.is_inside, "unknown", "seen")),
         scores=scores,
-        skies=(
-            PlaceSky("least agreement", *places[0]),
-            PlaceSky("most agreement", *places[1]),
-        ),
+        skies=tuple(PlaceSky(name, *place) for name in ("least agreement", "most agreement")),
         strong_dbhz=36.5,
         attribution="a city's surveyors",
     )

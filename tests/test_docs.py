@@ -52,7 +52,7 @@ ONLY_PARSED = re.compile(
 SCENARIO = """
 [region]
 bounds = [-74.02, 40.70, -73.98, 40.73]
-resolution_m = 12.5
+resolution_m = 25.0
 altitudes_m = [20, 60, 122]
 [buildings]
 source = "synthetic"

@@ -31,7 +31,7 @@ from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.style import FAINT_INK, INK, Colours
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
-ENDS = ((0.62, 0.52), (0.90, 0.90))  # start and goal as shares of the map, north and east
+ENDS = ((0.25, 0.20), (0.80, 0.70))  # start and goal as shares of the map, north and east
 SEED, BATCH_SAMPLES, NUM_BATCHES = 1, 50, 10
 # A metre costs as much as 5 m of the worst metric: with the usual tenth no cell can be left out (see the caption).
 WEIGHTS = ju.Weights(distance=1.0)

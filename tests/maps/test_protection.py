@@ -12,8 +12,7 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.maps.at_once import inputs_of
-from jaxurban.maps.build import compute_maps, view_sky
+from jaxurban.maps.build import compute_maps, inputs_of, view_sky
 from jaxurban.maps.differentiable import soften
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask
@@ -44,7 +43,7 @@ def maps():
 
 def ends_of(maps, altitude_m):
     """Return the first and the last cell of the largest region within the horizontal alert limit."""
-    parts, _ = label(ju.Constraints().is_free(maps, altitude_m) & (maps.m("hpl", altitude_m) <= 40))
+    parts, _ = label(maps.is_free(altitude_m) & (maps.m("hpl", altitude_m) <= 40))
     largest = np.argwhere(parts == np.bincount(parts[parts > 0]).argmax())
     return tuple(tuple(map(float, maps.grid.lonlat_of_cell(*largest[at]))) for at in (0, -1))
 

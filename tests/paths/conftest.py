@@ -5,7 +5,7 @@ import pytest
 
 import jaxurban as ju
 from tests.made_maps import made_maps
-from tests.paths.volumes import connected_cells, ends_at
+from tests.paths.volumes import ends_at
 
 
 @pytest.fixture(scope="session")
@@ -32,4 +32,4 @@ def town() -> ju.MetricMaps:
 
 @pytest.fixture(scope="session")
 def town_ends(town) -> dict:
-    return ends_at(town, *connected_cells(town)[[10, -10]])
+    return ends_at(town, *np.argwhere(town.is_free(20.0))[[10, -10]])

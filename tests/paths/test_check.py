@@ -817,7 +817,7 @@ def test_a_path_is_judged_as_its_file_is_but_for_climb_and_landing(town, tmp_pat
     city = ju.demo_city(1_000, 1_000)
     limits = ju.Constraints.read(clearance_m=5.0, require="gps>=0.01")
     cells = np.argwhere(ju.cost_map(town, 60.0, constraints=limits).is_free)
-    ends = ends_at(town, *cells[[20, -20]])
+    ends = ends_at(town, *cells[[10, -10]])
     path = ju.plan(
         town, altitude_m=60.0, planner=planner, constraints=limits, objective="distance", **ends
     )

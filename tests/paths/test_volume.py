@@ -12,7 +12,7 @@ from jaxurban.io.read.zone import Zone
 from jaxurban.planners.base import Status
 from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.paths.volumes import WEIGHTS, connected_cells, ends_at, options_of, plan_volume
+from tests.paths.volumes import WEIGHTS, ends_at, options_of, plan_volume
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def maps() -> ju.MetricMaps:
 
 @pytest.fixture(scope="module")
 def ends(maps) -> dict:
-    return ends_at(maps, *connected_cells(maps)[[3, -3]])
+    return ends_at(maps, *np.argwhere(ju.Constraints().is_free(maps, 20.0))[[3, -3]])
 
 
 def test_levels_are_the_altitudes_within_the_bounds_and_steps_between():

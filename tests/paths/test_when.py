@@ -12,7 +12,6 @@ import jaxurban as ju
 from jaxurban.report.figures import plot_when
 from tests.cli_runs import run
 from tests.guess_records import FLAT, attribute
-from tests.paths.volumes import connected_cells
 
 ALTITUDE_M = 20.0
 
@@ -31,8 +30,7 @@ def maps() -> ju.MetricMaps:
 
 @pytest.fixture(scope="module")
 def pairs(maps) -> list:
-    free = connected_cells(maps, ALTITUDE_M)
-    free = free[np.argsort(free[:, 1])]  # from west to east
+    free = np.argwhere(ju.cost_map(maps, ALTITUDE_M).islands == 1)
     return [
         [maps.grid.lonlat_of_cell(*free[at]) for at in ends]
         for ends in ((0, -1), (15, -40), (len(free) // 2, 3))
@@ -146,9 +144,10 @@ def test_no_departure_is_one_at_which_a_route_has_no_path(maps, pairs):
     )
     walled = ju.MetricMaps(maps.ds.assign(num_visible=num_visible))
     islands = ju.cost_map(maps, ALTITUDE_M).islands
-    main = np.bincount(islands[islands > 0]).argmax()
-    closed_in = np.argwhere((islands != main) & (islands > 0))[0]
-    beside = connected_cells(walled, ALTITUDE_M, time=maps.times[1], constraints=limits)
+    closed_in, beside = (
+        np.argwhere(islands == 2)[0],
+        np.argwhere(islands[:, : maps.grid.num_cols // 2] == 1),
+    )
     never = maps.grid.lonlat_of_cell(*closed_in), pairs[0][1]
     always = [maps.grid.lonlat_of_cell(*beside[at]) for at in (0, -1)]
     asked = {

@@ -73,9 +73,3 @@ def made_path(
     return ju.PlannedPath(
         status=status, xy_m=xy_m, z_m=z_m, altitude_m=first_m, **(sums | made | changed)
     )
-
-
-def connected_cells(maps, altitude_m=20.0, **options) -> np.ndarray:
-    """Return ``[N, 2]`` rows and columns of the free cells of the largest area within which all are connected."""
-    islands = ju.cost_map(maps, altitude_m, **options).islands
-    return np.argwhere(islands == np.bincount(islands[islands > 0]).argmax())

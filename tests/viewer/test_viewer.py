@@ -645,7 +645,7 @@ def test_the_public_name_stays_the_function_after_its_package_was_imported():
 def test_a_sky_is_that_of_the_library_and_maps_in_memory_say_why_they_have_none(tmp_path):
     run_scenario(ju.Scenario.from_dict(tomllib.loads(TOWN)), tmp_path / "maps", progress=False)
     maps = ju.open_maps(tmp_path / "maps")
-    place = (-73.9971, 40.7579)
+    place = (-73.999, 40.756)
     html = json.loads(Viewer(maps).answer("sky", {"at": [0, 0, 0], "place": place}).body)
     here = ju.sky(maps, place, maps.altitudes_m[0])
     counts = [int((here.table["state"] == state).sum()) for state in ("seen", "hidden", "unknown")]
