@@ -278,7 +278,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "shadows: words": lambda: Call(
         sweep.visible_words, (array(*SURFACE), array(4, 1, 1), lines(), WHOLE), {"window": WINDOW}
     ),
-    "obstacle": lambda: Call(surface._stand_at, (array(*REGION), ALTITUDES_M)),
+    "obstacle": lambda: Call(jax.jit(surface.obstacle_mask), (array(*REGION), ALTITUDES_M)),
     "risk": lambda: Call(
         risk._risk,
         (around(REGION, HALO), None, None, ALTITUDES_M, NUMBER, NUMBER, RUN_M2, None),

@@ -90,7 +90,7 @@ def kept_jit(function: Callable[..., Any], **options: Any) -> Any:
         return program(*args, **kwargs)
 
     kept: Any = call  # with what tests and benchmarks ask of it
-    kept.lower = jitted.lower
+    kept.lower, kept.trace = jitted.lower, jitted.trace
     kept.programs = programs
     return kept
 

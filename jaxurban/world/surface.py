@@ -400,7 +400,7 @@ def obstacle_mask(
       roof_m: ``[Y, X]`` roof heights above the ground of their cell, 0 without a building.
       altitudes_m: ``[A]`` heights above ground.
     """
-    return stands_at(roof_m, in_type(altitudes_m, roof_m.dtype)[:, None, None])
+    return stands_at(roof_m[None], in_type(altitudes_m, roof_m.dtype)[:, None, None])
 
 
 def stands_at(roof_m: Any, altitude_m: Any) -> Any:
