@@ -18,6 +18,7 @@ from jaxurban.io.city import City, joined_credits, seen_by
 from jaxurban.io.read.guesses import guessed_share
 from jaxurban.io.read.rasterise import (
     build_surface,
+    check_has_data,
     highest_top_m,
     surface_grid,
     unknown_plants_m,
@@ -224,8 +225,11 @@ class MapTask:
         Args:
           part: a part of the region instead.
           around: the part with its margin.
+
+        Raises:
+          InputError: the terrain or the height raster covers nothing of the whole region.
         """
-        return build_surface(
+        surface = build_surface(
             self.city,
             part or self.region,
             around or self.with_margin(),
@@ -233,6 +237,9 @@ class MapTask:
             self.has_guessed_roofs,
             self.has_kinds,
         )
+        if part is None:
+            check_has_data([surface.crop(surface.has_data)], self.city)
+        return surface
 
 
 PLANE = ("y", "x")

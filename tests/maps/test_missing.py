@@ -13,6 +13,8 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.custom import Layer
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.protection import Protection
+from jaxurban.world.grid import Grid
+from jaxurban.world.raster import Raster
 from tests import hanging_city, tiled_runs
 
 DOPS = "gdop pdop hdop vdop tdop"
@@ -150,3 +152,13 @@ def test_no_free_cell_misses_a_value_at_or_between_the_altitudes(maps, obstacles
         assert on.is_free.any()
         assert np.isfinite(on.costs).all()
     assert not np.isnan(maps.normalised(low_m)[maps.is_free(low_m, "centre")]).any()
+
+
+@pytest.mark.parametrize("make", [ju.build_maps, ju.grad.map_inputs])
+def test_rasters_without_data_are_refused_in_the_region(make):
+    nothing = np.full((8, 8), np.nan, np.float32)
+    roofs = Raster(nothing, (10.0, 0.0, 500_000.0, 0.0, -10.0, 4_500_080.0), "EPSG:32618")
+    city = ju.City("EPSG:32618", (500_000.0, 4_500_000.0, 500_080.0, 4_500_080.0), roofs=roofs)
+    grid = Grid("EPSG:32618", 20.0, 225_000, 25_000, 4, 4)
+    with pytest.raises(ju.InputError, match="hold no data in the region"):
+        make(city, grid=grid, altitudes_m=(20.0,))
