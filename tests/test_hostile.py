@@ -285,7 +285,7 @@ PLACES: dict[str, tuple[str, tuple[int, ...], dict[str, str]]] = {
     },
     "a reader that leaves": (f"{ROUTE} --json | true; exit ${{PIPESTATUS[0]}}", (0,), {}),
     "no room for a route": (f"ulimit -f 0; {ROUTE} -o path.geojson", (2,), {}),
-    "no room for maps": (f"ulimit -f 40; {TOWN}", (2,), {}),
+    "no room for maps": (f"ulimit -f 40; {TOWN}", (2,), {"JAX_COMPILATION_CACHE_DIR": NOWHERE}),
     "PROJ without its data": (TOWN, (0, 2), {"PROJ_DATA": NOWHERE, "PROJ_LIB": NOWHERE}),
     "GDAL without its data": (TOWN, (0, 2), {"GDAL_DATA": NOWHERE}),
     "no home, no caches": (
