@@ -4,6 +4,7 @@ import importlib.metadata
 import os
 import platform
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ from pathlib import Path
 import jax
 import numpy as np
 import psutil
+
+from jaxurban.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
@@ -167,3 +170,13 @@ def machine() -> dict[str, object]:
         "commit": commit.stdout.strip() or "unknown",
         "load_averages": [round(value, 2) for value in os.getloadavg()],
     }
+
+
+def exit_code(command: Callable[[], object]) -> int:
+    """Run a command and return 0; print the sentence of an InputError, and return 2."""
+    try:
+        command()
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0

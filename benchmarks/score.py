@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from benchmarks.common import exit_code
 from jaxurban.errors import InputError, readable
 from jaxurban.io.files import digest_of, whole_file, write_whole
 from jaxurban.io.tables import read_table, records_of, write_table
@@ -482,16 +483,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.make == (options.submission is not None):
         parser.error("give either a submission, a file of routes, or --make")
-    try:
+
+    def answer() -> None:
+        """Print where the benchmark is, or the line of the submission."""
         if options.make:
             print(f"the queries are in {make_benchmark(options.bench, progress=True)}")
         else:
             lines, _ = score(options.bench, options.submission, options.board, options.method)
             print(lines.drop(columns=["bundle"]).to_string(index=False, na_rep=""))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+
+    return exit_code(answer)
 
 
 if __name__ == "__main__":

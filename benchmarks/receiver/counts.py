@@ -24,6 +24,7 @@ import pandas as pd
 from scipy.stats import rankdata
 from scipy.stats import t as student
 
+from benchmarks.common import exit_code
 from jaxurban.errors import InputError
 from jaxurban.io.read.tracks import LAT, LON, RULES, UTC, Rule, checked, renamed
 from jaxurban.io.samples import located
@@ -534,13 +535,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--set", dest="changes", action="append", default=[], help="of the scenario"
     )
     options = parser.parse_args(arguments)
-    try:
+
+    def answer() -> None:
+        """Print the scores."""
         scenario = Scenario.from_toml(options.scenario, options.changes)
         print(score_table(counted(scenario, options.log, progress=True).scores))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+
+    return exit_code(answer)
 
 
 if __name__ == "__main__":

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from benchmarks.common import exit_code
 from benchmarks.receiver.displaced import AROUND_M, FARTHEST_M, SCALES, STEP_M, Displaced
 from benchmarks.receiver.rivals import MAP, compared_rules, features_of, gain_by_length
-from jaxurban.errors import InputError
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.satellites import HEADS, ROWS
@@ -323,14 +323,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--systems", default="", help="letters of the satellite systems, as G,E")
     parser.add_argument("--displaced", type=int, default=NUM_DISPLACED, help="cities of the null")
     options = parser.parse_args(arguments)
-    try:
+
+    def answer() -> None:
+        """Print the evidence."""
         scenario = Scenario.from_toml(options.scenario, options.changes)
         settings = ReceiverSettings(systems=tuple(filter(None, options.systems.split(","))))
         print(text_of(evidence_of(scenario, options.log, settings, options.displaced, True)))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+
+    return exit_code(answer)
 
 
 if __name__ == "__main__":
