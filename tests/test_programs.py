@@ -1,6 +1,7 @@
 """Programs that are kept: for which key, under which guards, and what is said of compiling.
 
-What is compiled is counted by `jax.monitoring`; nothing but a compilation ends in the event `COMPILED`.
+What is compiled is counted by `jax.monitoring`; nothing but a compilation ends in the event `COMPILED`. The oldest JAX
+cannot forget who listens, so that one function listens for as long as these tests run.
 """
 
 import ast
@@ -30,7 +31,16 @@ from tests.logs import logged
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
 X = np.arange(12, dtype=np.float32)
+COMPILATIONS: list[float] = []  # their seconds
 on_posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
+
+
+def on_duration(event: str, seconds: float, **_: object) -> None:
+    if event == COMPILED:
+        COMPILATIONS.append(seconds)
+
+
+jax.monitoring.register_event_duration_secs_listener(on_duration)
 
 
 def doubled(x, *, times=2):
@@ -64,21 +74,12 @@ def fresh() -> None:
 
 def num_compiled(function: Callable, *args: object, **static: object) -> int:
     """Return how many programs a call compiles; its result must be right."""
-    ends: list[float] = []
-
-    def on_duration(event: str, seconds: float, **_: object) -> None:
-        if event == COMPILED:
-            ends.append(seconds)
-
+    num_before = len(COMPILATIONS)
     jax.clear_caches()
-    jax.monitoring.register_event_duration_secs_listener(on_duration)
-    try:
-        result = function(*args, **static)
-    finally:
-        jax.monitoring.unregister_event_duration_listener(on_duration)
+    result = function(*args, **static)
     expected = np.sin(np.asarray(args[0])) * static.get("times", 2)
     np.testing.assert_allclose(result, expected, rtol=1e-6)
-    return len(ends)
+    return len(COMPILATIONS) - num_before
 
 
 def entries(cache: Path) -> list[Path]:
