@@ -12,7 +12,20 @@ SNAP_CELLS = 1e-6  # an outline's corner this close to a border of cells lies on
 
 
 @compiled()
-def burn_outlines(points, ring_start, outline_start, values, first_row, first_col, centre, touched):
+def burn_outlines(
+    points,
+    ring_start,
+    outline_start,
+    values,
+    first_row,
+    first_col,
+    centre,
+    touched,
+    is_crossed,
+    row,
+    col,
+    length,
+):
     """Raise cells to the highest value among the outlines that hold them, in place, in one pass over the outlines.
 
     An outline holds a cell of ``centre`` if the cell's centre lies in it. A centre on the border between two outlines
@@ -33,33 +46,28 @@ def burn_outlines(points, ring_start, outline_start, values, first_row, first_co
       first_row, first_col: southwest cell of ``centre``, counted from the CRS's origin.
       centre: ``[Y, X]``, row 0 in the south, altered; what lies outside is left out.
       touched: ``[Y, X]`` of the same type, altered; ``[0, 0]`` if it is not needed.
+      is_crossed: ``[M]`` bool working memory, all False, for the cells of any outline's box with two columns more on
+        each side; left all False.
+      row, col, length: ``[L]`` int64, int64 and float64 working memory, for the parts of any edge (see `walk_edge`).
     """
-    # Working memory for all outlines: it grows where one needs more, and is handed on.
-    is_crossed = np.zeros(256, np.bool_)
-    row = np.empty(64, np.int64)
-    col = np.empty(64, np.int64)
-    length = np.empty(64)
     for outline in range(len(values)):
         rings = ring_start[outline_start[outline] : outline_start[outline + 1] + 1]
-        is_crossed = _fill(points, rings, values[outline], first_row, first_col, centre, is_crossed)
+        _fill(points, rings, values[outline], first_row, first_col, centre, is_crossed)
         if touched.size:
-            row, col, length = _touch(
-                points, rings, values[outline], first_row, first_col, touched, row, col, length
-            )
+            _touch(points, rings, values[outline], first_row, first_col, touched, row, col, length)
 
 
 @compiled()
 def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
-    """Raise the cells of ``centre`` whose centre lies in one outline, by even-odd scan lines; return ``is_crossed``.
+    """Raise the cells of ``centre`` whose centre lies in one outline, by even-odd scan lines.
 
     Where an edge crosses a row of centres is computed from the CRS's origin, so that it is rounded alike whatever part
     is burnt: an edge through a centre leaves it on the same side in every tile.
 
     Args:
-      points, first_row, first_col, centre: as in `burn_outlines`.
+      points, first_row, first_col, centre, is_crossed: as in `burn_outlines`.
       rings: ``[R + 1]`` where each ring of the outline begins in ``points``, and the end; the exterior comes first.
       value: of the outline.
-      is_crossed: working memory, all False; returned all False, and larger if the outline needs more.
     """
     # The box of rows and columns in which centres can lie.
     num_rows, num_cols = centre.shape
@@ -78,9 +86,7 @@ def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
     end_col = min(_col_from(east) + 1 - first_col, num_cols)
     num = end_col - low_col
     if low_row >= end_row or num <= 0:
-        return is_crossed
-    if len(is_crossed) < (end_row - low_row) * num:
-        is_crossed = np.zeros(2 * (end_row - low_row) * num, np.bool_)
+        return
 
     # For each row mark the cell from which on an edge lies in the west; two edges at one cell undo each other.
     for ring in range(len(rings) - 1):
@@ -118,7 +124,6 @@ def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
             if is_inside and value > centre[row, col]:
                 centre[row, col] = value
             place += 1
-    return is_crossed
 
 
 @compiled()
@@ -138,9 +143,8 @@ def _touch(points, rings, value, first_row, first_col, touched, row, col, length
     """Raise the cells of ``touched`` whose interior an edge of one outline crosses.
 
     Args:
-      points, first_row, first_col, touched: as in `burn_outlines`.
+      points, first_row, first_col, touched, row, col, length: as in `burn_outlines`.
       rings, value: as in `_fill`.
-      row, col, length: working memory for the parts of an edge; returned, longer if an edge needs more.
     """
     num_rows, num_cols = touched.shape
     for ring in range(len(rings) - 1):
@@ -160,13 +164,6 @@ def _touch(points, rings, value, first_row, first_col, touched, row, col, length
             # An edge along a border of cells crosses no interior.
             if (x0 == x1 and x0 == np.rint(x0)) or (y0 == y1 and y0 == np.rint(y0)):
                 continue
-            most_parts = (
-                int(abs(np.floor(x1) - np.floor(x0)) + abs(np.floor(y1) - np.floor(y0))) + 2
-            )
-            if most_parts > len(row):
-                row = np.empty(2 * most_parts, np.int64)
-                col = np.empty(2 * most_parts, np.int64)
-                length = np.empty(2 * most_parts)
             for part in range(walk_edge(x0, y0, x1, y1, row, col, length, np.int64(0))):
                 r, c = row[part], col[part]
                 if (
@@ -176,7 +173,6 @@ def _touch(points, rings, value, first_row, first_col, touched, row, col, length
                     and value > touched[r, c]
                 ):
                     touched[r, c] = value
-    return row, col, length
 
 
 @compiled()

@@ -380,6 +380,11 @@ def burn(
     near = np.flatnonzero(meets(boxes, grid.bounds_m))
     if not near.size:
         return centre, touched
+    # The most cells that an edge crosses, and that lie in the box of an outline with two more on each side.
+    x_min, y_min, x_max, y_max = boxes[near].T / grid.resolution_m
+    width, height = x_max - x_min + 4, y_max - y_min + 4
+    most_parts = math.ceil(np.max(width + height))
+    most_cells = np.max(np.minimum(width, grid.num_cols) * np.minimum(height, grid.num_rows))
 
     # The rings of all parts, those of polygons of one ring first: `shapely.to_ragged_array` makes a geometry of every
     # ring, in ten times the time.
@@ -403,6 +408,10 @@ def burn(
         grid.first_col,
         centre.view(np.int32),
         touched.view(np.int32),
+        np.zeros(math.ceil(most_cells), bool),
+        np.empty(most_parts, np.int64),
+        np.empty(most_parts, np.int64),
+        np.empty(most_parts),
     )
     if has_touched:
         np.maximum(centre, touched, out=touched)
