@@ -221,7 +221,8 @@ def inputs() -> tuple[at_once.MapInputs, visibility.SkyView]:
     settings = {"gps": gps.Gps(), "population": population.Population()}
     ready = {"lidar": array(4, PADDED_5M), "population": (BLOCKS, array(2))}
     fixed = ("lidar", Lidar()), ("risk", Risk())
-    sky = visibility.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
+    geometry = satellites(NUM_SATELLITES, ROUNDED)
+    sky = visibility.SkyView(lines_over(SURFACE, ROUNDED), geometry, WHOLE)
     return at_once.MapInputs(soft_city().surface, ALTITUDES_M, ready, settings, fixed), sky
 
 
@@ -235,11 +236,8 @@ def region(num_times: int = 1) -> tuple[at_once.MapInputs, visibility.SkyView]:
     surface = replace(made.surface, block=None, has_data=array(*SURFACE, dtype=bool))
     settings = {name: values for name, values in made.settings.items() if name not in people}
     ready = {name: values for name, values in made.ready.items() if name not in people}
-    one = visibility.SkyView(
-        lines_over(SURFACE, ROUNDED), satellites(NUM_SATELLITES, ROUNDED), sky.num
-    )
     skies = jax.tree.map(
-        lambda values: np.stack([np.asarray(values)] * num_times), one._replace(num=NUM_SATELLITES)
+        lambda values: np.stack([np.asarray(values)] * num_times), sky._replace(num=NUM_SATELLITES)
     )
     return replace(made, surface=surface, settings=settings, ready=ready), skies
 
@@ -276,7 +274,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         ),
     ),
     "shadows: words": lambda: Call(
-        sweep.visible_words, (array(*SURFACE), array(4, 1, 1), lines(), WHOLE), {"window": WINDOW}
+        sweep.visible_words,
+        (array(*SURFACE), array(4, 1, 1), lines_over(SURFACE, ROUNDED), WHOLE),
+        {"window": WINDOW},
     ),
     "obstacle": lambda: Call(jax.jit(surface.obstacle_mask), (array(*REGION), ALTITUDES_M)),
     "risk": lambda: Call(

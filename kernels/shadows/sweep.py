@@ -12,7 +12,7 @@ stands within that of a shadow's edge.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -331,34 +331,52 @@ def visible_words(
 
 def words_by_sweep(top_m: Array, height_m: Array, lines: Line, num: Array, window: Window) -> Array:
     """Return `visible_words`, by the form for a CPU: satellite by satellite; the lines that fill up are left out."""
-    kept = _kept(window)
 
-    def mark(number: Array, words: Array) -> Array:
-        """Add the bit of one satellite to the words ``[W, A, y, x]``; every bit is added once, so adding sets it."""
-        line = jax.tree.map(lambda values: values[number], lines)
-        seen = shadow_height(top_m, line)[None, *kept] <= height_m
-        bit = seen.astype(jnp.uint32) << (number % WORD_BITS).astype(jnp.uint32)
-        return words.at[number // WORD_BITS].add(bit)
+    def cast(some: Line) -> Array:
+        return shadow_height(top_m, jax.tree.map(lambda values: values[0], some))[None]
 
-    shape = jnp.broadcast_shapes(height_m.shape, (1, *top_m[kept].shape))
-    num_words = max(1, -(-len(lines.heading) // WORD_BITS))
-    return lax.fori_loop(0, num, mark, jnp.zeros((num_words, *shape), jnp.uint32))
+    return _words(cast, height_m, lines, num, window, num, 1)
 
 
 def words_by_doubling(
     top_m: Array, height_m: Array, lines: Line, num: Array, window: Window
 ) -> Array:
     """Return `visible_words`, by the form for a GPU: `TOGETHER` satellites at once, whose shadows are then let go."""
+    cast = jax.vmap(partial(_height_by_doubling, top_m))
+    together = math.gcd(TOGETHER, len(lines.heading))
+    num_rounds = len(lines.heading) // together
+    return _words(cast, height_m, lines, num, window, num_rounds, together)
 
-    def see(line: Line) -> Array:
-        """Return ``[A, y, x]`` bool: where one satellite is seen."""
-        return _height_by_doubling(top_m, line)[None, *_kept(window)] <= height_m
 
-    all_seen = lax.map(see, lines, batch_size=TOGETHER)
-    words = []
-    for first in range(0, max(len(all_seen), 1), WORD_BITS):
-        some = all_seen[first : first + WORD_BITS]  # of one word
-        bit = jnp.arange(len(some), dtype=jnp.uint32)[:, None, None, None]
-        seen = some & (first + bit < num.astype(jnp.uint32))
-        words.append(jnp.sum(seen.astype(jnp.uint32) << bit, axis=0, dtype=jnp.uint32))
-    return jnp.stack(words)
+def _words(
+    cast: Callable[[Line], Array],
+    height_m: Array,
+    lines: Line,
+    num: Array,
+    window: Window,
+    num_rounds: Array | int,
+    together: int,
+) -> Array:
+    """Return `visible_words`, of satellites that are cast and packed in rounds.
+
+    Args:
+      cast: returns the `shadow_height` of each of some lines.
+      height_m, lines, num, window: as for `visible_words`.
+      num_rounds: how many rounds there are.
+      together: satellites of a round, a divisor of `WORD_BITS`.
+    """
+
+    def mark(number: Array, words: Array) -> Array:
+        """Add the bits of a round to the words ``[W, A, y, x]``; every bit is added once, so adding sets it."""
+        first = number * together
+        some = jax.tree.map(lambda all_: lax.dynamic_slice_in_dim(all_, first, together), lines)
+        satellite = (first + jnp.arange(together))[:, None, None, None]
+        shadow_m = cast(some)[:, None, *_kept(window)]
+        seen = (shadow_m <= height_m) & (satellite < num)
+        bits = seen.astype(jnp.uint32) << (satellite % WORD_BITS).astype(jnp.uint32)
+        return words.at[first // WORD_BITS].add(jnp.sum(bits, axis=0, dtype=jnp.uint32))
+
+    rows, cols = _kept(window)
+    shape = len(height_m), rows.stop - rows.start, cols.stop - cols.start
+    num_words = max(1, -(-len(lines.heading) // WORD_BITS))
+    return lax.fori_loop(0, num_rounds, mark, jnp.zeros((num_words, *shape), jnp.uint32))
