@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from benchmarks import structure
 from jaxurban.maps.citation import PAPER, SOFTWARE
 
 ROOT = Path(__file__).parents[1]
@@ -192,6 +193,24 @@ def test_the_history_holds_every_script_that_a_page_names_with_its_commit():
     assert named
     for script, commit in named:
         git(ROOT, "cat-file", "-e", f"{commit}:{script}")
+
+
+def test_the_page_on_developing_counts_the_code_as_it_is():
+    counted: dict[str, list[int]] = {}
+    for file in structure.files_of(ROOT, structure.SOURCES, ".py"):
+        parent = file.relative_to(ROOT).parent.as_posix()
+        folder = "/".join(parent.split("/")[:2])
+        counted.setdefault(folder, []).append(
+            structure.code_lines_and_tokens(file.read_text(encoding="utf-8"))[1]
+        )
+    counted["in all"] = [tokens for folder in counted.values() for tokens in folder]
+    page = (ROOT / "docs" / "developing.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `?([\w/ ]+?)/?`? \| (\d+) \| ([\d,]+) \|$", page, re.MULTILINE)
+    assert {folder for folder, _, _ in rows} == set(counted)
+    for folder, num_files, written in rows:
+        tokens = sum(counted[folder])
+        assert int(num_files) == len(counted[folder]), folder
+        assert int(written.replace(",", "")) == pytest.approx(tokens, rel=0.02, abs=100), folder
 
 
 WORKFLOWS = {
