@@ -262,7 +262,8 @@ def _structures(
     is_border = (kinds == WOOD) | (is_bridge & (outlines.texts("man_made") == DECK))
     is_border &= shapely.get_dimensions(outlines.polygons) == 1
     is_hulled = is_hull | is_border
-    shapes = np.where(is_hulled, shapely.convex_hull(outlines.polygons), outlines.polygons)
+    shapes = outlines.polygons.copy()
+    shapes[is_hulled] = shapely.convex_hull(shapes[is_hulled])
     is_fence = np.array([kind in (FENCE, *WALLS) for kind in kinds], bool)
     is_fence &= shapely.get_dimensions(shapes) == 2
     shapes[is_fence] = shapely.boundary(shapes[is_fence])
@@ -507,7 +508,8 @@ def _project(
     # Of a shape that lacks vertices the hull of the others is left.
     vertices, shape = shapely.get_coordinates(shapes, return_index=True)
     is_finite = np.isfinite(vertices).all(axis=1)
-    is_whole = ~np.isin(np.arange(len(shapes)), shape[~is_finite])
+    is_whole = np.ones(len(shapes), bool)
+    is_whole[shape[~is_finite]] = False
     for index in np.flatnonzero(~is_whole):
         known = vertices[is_finite & (shape == index)]
         shapes[index] = shapely.convex_hull(shapely.multipoints(known))
