@@ -12,21 +12,18 @@ SMALL_PART = 0.1  # of an extent: such a box is proposed instead of it
 
 
 def lonlat_boxes(polygons: np.ndarray, crs: str) -> np.ndarray:
-    """Return west, south, east, north in degrees of polygons in ``crs``, ``[N, 4]``, NaN of empty ones."""
+    """Return west, south, east, north in degrees of polygons in ``crs``, ``[N, 4]``; empty ones are left out."""
     vertices, polygon = shapely.get_coordinates(polygons, return_index=True)
     lonlat = np.stack(transformer(crs, WGS84).transform(*vertices.T), axis=1)
     first = np.flatnonzero(np.diff(polygon, prepend=-1))
-    boxes = np.full((len(polygons), 4), np.nan)
-    boxes[polygon[first], :2] = np.minimum.reduceat(lonlat, first)
-    boxes[polygon[first], 2:] = np.maximum.reduceat(lonlat, first)
-    return boxes
+    return np.hstack([np.minimum.reduceat(lonlat, first), np.maximum.reduceat(lonlat, first)])
 
 
 def rounded_outward(boxes: np.ndarray) -> Bounds:
     """Return the box around boxes in degrees ``[N, 4]``, rounded outward to 1e-4 degrees, some 10 m."""
     # In units of 1e-4 degrees; rounded first, as a projection there and back moves the sides a little.
-    west, south = np.floor(np.round(1e4 * np.nanmin(boxes[:, :2], axis=0), 4)) / 1e4
-    east, north = np.ceil(np.round(1e4 * np.nanmax(boxes[:, 2:], axis=0), 4)) / 1e4
+    west, south = np.floor(np.round(1e4 * boxes[:, :2].min(axis=0), 4)) / 1e4
+    east, north = np.ceil(np.round(1e4 * boxes[:, 2:].max(axis=0), 4)) / 1e4
     return float(west), float(south), float(east), float(north)
 
 
@@ -45,9 +42,8 @@ def main_bounds(polygons: np.ndarray, crs: str, extent: Sequence[float]) -> Boun
       West, south, east, north in degrees, rounded outward to some 10 m; None also without a polygon in the extent.
     """
     boxes = lonlat_boxes(polygons, crs)
-    west, south, east, north = extent
-    is_east_west = (boxes[:, 0] <= east) & (boxes[:, 2] >= west)
-    boxes = boxes[is_east_west & (boxes[:, 1] <= north) & (boxes[:, 3] >= south)]
+    is_inside = (boxes[:, :2] <= extent[2:]) & (boxes[:, 2:] >= extent[:2])
+    boxes = boxes[is_inside.all(axis=1)]
     if not len(boxes):
         return None
     centres = (boxes[:, :2] + boxes[:, 2:]) / 2
