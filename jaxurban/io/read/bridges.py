@@ -86,7 +86,7 @@ def _is_long(shapes: np.ndarray) -> np.ndarray:
     one, other = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=JOINED_M)
     # Each has the number of the first that joins it; that of SciPy would take longer to load.
     bridge = np.arange(len(shapes))
-    before = np.zeros(0)
+    before = np.zeros(0, int)
     while not np.array_equal(bridge, before):
         before = bridge.copy()
         np.minimum.at(bridge, one, bridge[other])
