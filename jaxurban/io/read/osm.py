@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import osmium
 import shapely
-from osmium.filter import IdFilter, KeyFilter
+from osmium.filter import EntityFilter, IdFilter, KeyFilter
 from osmium.geom import use_nodes
 
 from jaxurban.errors import readable
@@ -68,6 +68,7 @@ KEYS = {*MAYBE, *SOME, "layer"} - {"highway"}
 MAY_STAND = KeyFilter(*KEYS)
 MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type")  # of relations
 LAMPS = KeyFilter("highway")  # of nodes
+NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
 
 
 def read_osm(path: str | Path) -> Outlines:
@@ -105,8 +106,8 @@ class _Objects:
       tags: those that say what stands.
       shapes: WKB in hexadecimal.
       areas: what libosmium takes for areas, whether it could assemble them or not, and sites.
-      closed, open_ways, missing, degenerate: ways; the first may be anything, the third lack nodes, and the last
-        enclose nothing.
+      closed, open_ways, missing, degenerate: ways, the first two no areas that may stand; the third lack nodes, and
+        the last enclose nothing.
       lines: of ways, by id.
       ways_of: the ids of the ways of what has no shape.
       of_members: what relations of the type building say of their outlines.
@@ -128,7 +129,8 @@ class _Objects:
 
     def _read_objects(self, path: str | Path) -> None:
         """Read what may stand, and relations of buildings."""
-        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(MAY_STAND_OR_TYPE)
+        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(NO_WAYS)
+        processor = processor.with_filter(MAY_STAND_OR_TYPE)
         self.places: Any = processor.node_location_storage
         item: Any
         for item in processor:
@@ -138,9 +140,6 @@ class _Objects:
                 self.areas.add(key)
             else:
                 key = kind, item.id
-            if kind == "w" and item.is_closed():  # its area has its tags
-                self.closed.add(key)
-                continue
             tags = _tags_of(item.tags)
             if kind == "r":
                 if not self._keep_relation(item, tags):
@@ -149,9 +148,6 @@ class _Objects:
                 continue
             elif kind == "n":
                 self.shapes[key] = TO_WKB.create_point(item)
-            elif kind == "w":
-                self.open_ways.add(key)
-                self._keep_line(item)
             elif item.num_rings()[0] > 0:
                 self.shapes[key] = TO_WKB.create_multipolygon(item)
             self.tags[key] = tags
@@ -162,6 +158,11 @@ class _Objects:
             return
         self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
         self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
+
+    def way(self, way: Any) -> None:
+        """Keep the line of a way that is asked for, for which pyosmium calls this too."""
+        if way.id in self.ids:
+            self._keep_line(way)
 
     def _keep_relation(self, item: Any, tags: dict[str, str]) -> bool:
         """Keep the members of a relation that may need them; return whether it may stand itself, by its tags."""
@@ -196,21 +197,29 @@ class _Objects:
         self.lines[way.id] = _each_side_once(line)
 
     def _read_lines(self, path: str | Path) -> None:
-        """Read the lines of what else has no shape, and the tags of closed ways that are no areas."""
-        lost = self.closed - self.areas
-        no_shape = (self.tags.keys() | lost | self.of_members.keys()) - self.shapes.keys()
+        """Read ways that may stand and are no areas, and the lines of what else has no shape."""
+        no_shape = (self.tags.keys() | self.of_members.keys()) - self.shapes.keys()
         self.ways_of |= {key: [key[1]] for key in no_shape if key[0] == "w"}
-        ids = {way for key in no_shape for way in self.ways_of.get(key, ())} - self.lines.keys()
         # An `IdFilter` would take 4 MiB for each range of ids.
-        for item in osmium.FileProcessor(_file(path), osmium.osm.WAY) if ids else ():
-            if item.id in ids:
+        self.ids = {way for key in no_shape for way in self.ways_of.get(key, ())}
+        places = osmium.NodeLocationsForWays(self.places)
+        places.ignore_errors()
+        ways = osmium.FileProcessor(_file(path), osmium.osm.WAY).with_filter(MAY_STAND)
+        item: Any
+        for item in ways.with_filter(places).handler_for_filtered(self):
+            self.way(item)
+            key = "w", item.id
+            if key in self.areas:
+                continue
+            tags = _tags_of(item.tags)
+            if _may_stand(tags):
+                self.tags[key] = tags
+                self.ways_of[key] = [item.id]
                 self._keep_line(item)
-                tags = _tags_of(item.tags)
-                if ("w", item.id) in lost and _may_stand(tags):
-                    self.tags["w", item.id] = tags
+                (self.closed if item.is_closed() else self.open_ways).add(key)
         self.degenerate = {
             key
-            for key in (lost & self.tags.keys()) - self.missing - self.of_members.keys()
+            for key in self.closed - self.missing - self.of_members.keys()
             if not self.tags[key].keys().isdisjoint(BUILDINGS)
             and shapely.build_area(self.lines[key[1]]).is_empty
         }
