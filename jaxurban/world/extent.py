@@ -22,8 +22,10 @@ def lonlat_boxes(polygons: np.ndarray, crs: str) -> np.ndarray:
 def rounded_outward(boxes: np.ndarray) -> Bounds:
     """Return the box around boxes in degrees ``[N, 4]``, rounded outward to 1e-4 degrees, some 10 m."""
     # In units of 1e-4 degrees; rounded first, as a projection there and back moves the sides a little.
-    west, south = np.floor(np.round(1e4 * boxes[:, :2].min(axis=0), 4)) / 1e4
-    east, north = np.ceil(np.round(1e4 * boxes[:, 2:].max(axis=0), 4)) / 1e4
+    corners = shapely.linestrings(boxes.reshape(-1, 2))
+    sides = np.round(1e4 * shapely.bounds(corners), 4)
+    west, south = np.floor(sides[:2]) / 1e4
+    east, north = np.ceil(sides[2:]) / 1e4
     return float(west), float(south), float(east), float(north)
 
 

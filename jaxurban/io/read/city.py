@@ -509,10 +509,8 @@ def _city_of(
         )
         near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
         area = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
-    if area.is_empty:
-        area = shapely.Polygon()
-        if not outlines.is_part:
-            area = area_of_outlines(everything.polygons, boxes_m)
+    if area.is_empty and not outlines.is_part:
+        area = area_of_outlines(everything.polygons, boxes_m)
     return City(
         crs,
         area.bounds,
