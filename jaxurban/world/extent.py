@@ -12,16 +12,18 @@ SMALL_PART = 0.1  # of an extent: such a box is proposed instead of it
 
 
 def lonlat_boxes(polygons: np.ndarray, crs: str) -> np.ndarray:
-    """Return west, south, east, north in degrees of polygons in ``crs``, ``[N, 4]``."""
-    return shapely.bounds(
-        shapely.transform(polygons, transformer(crs, WGS84).transform, interleaved=False)
-    )
+    """Return west, south, east, north in degrees of polygons in ``crs``, ``[N, 4]``; empty ones are left out."""
+    vertices, polygon = shapely.get_coordinates(polygons, return_index=True)
+    lonlat = np.stack(transformer(crs, WGS84).transform(*vertices.T), axis=1)
+    first = np.flatnonzero(np.diff(polygon, prepend=-1))
+    return np.hstack([np.minimum.reduceat(lonlat, first), np.maximum.reduceat(lonlat, first)])
 
 
 def rounded_outward(boxes: np.ndarray) -> Bounds:
     """Return the box around boxes in degrees ``[N, 4]``, rounded outward to 1e-4 degrees, some 10 m."""
     # In units of 1e-4 degrees; rounded first, as a projection there and back moves the sides a little.
-    sides = np.round(1e4 * shapely.total_bounds(shapely.box(*boxes.T)), 4)
+    corners = shapely.linestrings(boxes.reshape(-1, 2))
+    sides = np.round(1e4 * shapely.bounds(corners), 4)
     west, south = np.floor(sides[:2]) / 1e4
     east, north = np.ceil(sides[2:]) / 1e4
     return float(west), float(south), float(east), float(north)
@@ -42,8 +44,8 @@ def main_bounds(polygons: np.ndarray, crs: str, extent: Sequence[float]) -> Boun
       West, south, east, north in degrees, rounded outward to some 10 m; None also without a polygon in the extent.
     """
     boxes = lonlat_boxes(polygons, crs)
-    whole = shapely.box(*extent)
-    boxes = boxes[shapely.intersects(shapely.box(*boxes.T), whole)]
+    is_inside = (boxes[:, :2] <= extent[2:]) & (boxes[:, 2:] >= extent[:2])
+    boxes = boxes[is_inside.all(axis=1)]
     if not len(boxes):
         return None
     centres = (boxes[:, :2] + boxes[:, 2:]) / 2
@@ -51,4 +53,4 @@ def main_bounds(polygons: np.ndarray, crs: str, extent: Sequence[float]) -> Boun
     of_longitude = np.cos(np.radians(median[1]))  # a degree of it, in degrees of latitude
     off = (np.abs(centres - median) * [of_longitude, 1.0]).max(axis=1)
     main = rounded_outward(boxes[off <= np.quantile(off, MAIN_SHARE, method="higher")])
-    return main if shapely.box(*main).area < SMALL_PART * whole.area else None
+    return main if shapely.box(*main).area < SMALL_PART * shapely.box(*extent).area else None

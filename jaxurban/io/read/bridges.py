@@ -83,13 +83,14 @@ def is_raised(outlines: Outlines) -> np.ndarray:
 
 def _is_long(shapes: np.ndarray) -> np.ndarray:
     """Return ``[N]`` whether a bridge is longer than `LONG_M`, with all that join it."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components  # imported here: these take time to load
-
-    num = len(shapes)
     one, other = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=JOINED_M)
-    joined = coo_array((np.ones(len(one), bool), (one, other)), shape=(num, num))
-    _, bridge = connected_components(joined, directed=False)
+    # Each has the number of the first that joins it; that of SciPy would take longer to load.
+    bridge = np.arange(len(shapes))
+    before = np.zeros(0, int)
+    while not np.array_equal(bridge, before):
+        before = bridge.copy()
+        np.minimum.at(bridge, one, bridge[other])
+        bridge = bridge[bridge]
     bounds_m = pd.DataFrame(shapely.bounds(shapes)).groupby(bridge)
     low_m, high_m = bounds_m[[0, 1]].transform("min"), bounds_m[[2, 3]].transform("max")
     return np.hypot(*(high_m.to_numpy() - low_m.to_numpy()).T) > LONG_M

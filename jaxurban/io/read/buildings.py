@@ -172,7 +172,7 @@ def _buildings(
     learned, classes = _learned(buildings, outline, part, is_deck, learns)
     if file.default_height_m is None:
         guess_m = of_classes(learned, classes, "guess_m")
-        is_low = np.isin(found.texts("building"), LOW_BUILDINGS) & (guess_m > LOW_LIMIT_M)
+        is_low = found.says("building", LOW_BUILDINGS) & (guess_m > LOW_LIMIT_M)
         guess_m[is_low] = LOW_LIMIT_M
         height_m = np.where(buildings.height_m == 0, guess_m, buildings.height_m)
         buildings = replace(buildings, height_m=height_m)
@@ -254,7 +254,7 @@ def _structures(
     names[has_height & (names == UNKNOWN)] = "structure"
     origin[has_height & is_bridge] = HeightOrigin.ROUGH  # of the deck alone
     origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
-    of_hulls_m = _limits_by_name_m(outlines.texts("building")) + outlines.tags["rise_m"]
+    of_hulls_m = _limits_by_name_m(outlines) + outlines.tags["rise_m"]
     limit_m = np.where(is_hull, of_hulls_m, of_kinds("limit_m"))
     limit_m[is_lost | (limit_m < np.fmax(guess_m, likely_m))] = np.inf
 
@@ -262,7 +262,8 @@ def _structures(
     is_border = (kinds == WOOD) | (is_bridge & (outlines.texts("man_made") == DECK))
     is_border &= shapely.get_dimensions(outlines.polygons) == 1
     is_hulled = is_hull | is_border
-    shapes = np.where(is_hulled, shapely.convex_hull(outlines.polygons), outlines.polygons)
+    shapes = outlines.polygons.copy()
+    shapes[is_hulled] = shapely.convex_hull(shapes[is_hulled])
     is_fence = np.array([kind in (FENCE, *WALLS) for kind in kinds], bool)
     is_fence &= shapely.get_dimensions(shapes) == 2
     shapes[is_fence] = shapely.boundary(shapes[is_fence])
@@ -349,9 +350,9 @@ def _on_roofs(
     return on_roofs, is_on & names_it & (structures.kinds == UNKNOWN)
 
 
-def _limits_by_name_m(building: np.ndarray) -> np.ndarray:
+def _limits_by_name_m(outlines: Outlines) -> np.ndarray:
     """Return ``[N]`` the height that buildings of unknown height do not exceed, by what their tag calls them."""
-    return np.where(np.isin(building, LOW_BUILDINGS), LOW_LIMIT_M, LIMIT_M)
+    return np.where(outlines.says("building", LOW_BUILDINGS), LOW_LIMIT_M, LIMIT_M)
 
 
 def _learned(
@@ -423,7 +424,7 @@ def _limits_m(
       learned: of these; where higher ones are likely or known, buildings whose names say nothing have no bound.
     """
     num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
-    by_name_m = np.maximum(_limits_by_name_m(found.texts("building")), found.tags["kind_limit_m"])
+    by_name_m = np.maximum(_limits_by_name_m(found), found.tags["kind_limit_m"])
     highest_m = np.where(np.isin(classes, LARGE), of_classes(learned, classes, "highest_m"), 0.0)
     higher_m = np.maximum(highest_m, of_classes(learned, classes, "likely_m"))
     by_name_m[(higher_m > by_name_m) & (by_name_m >= LIMIT_M)] = np.inf
@@ -507,7 +508,8 @@ def _project(
     # Of a shape that lacks vertices the hull of the others is left.
     vertices, shape = shapely.get_coordinates(shapes, return_index=True)
     is_finite = np.isfinite(vertices).all(axis=1)
-    is_whole = ~np.isin(np.arange(len(shapes)), shape[~is_finite])
+    is_whole = np.ones(len(shapes), bool)
+    is_whole[shape[~is_finite]] = False
     for index in np.flatnonzero(~is_whole):
         known = vertices[is_finite & (shape == index)]
         shapes[index] = shapely.convex_hull(shapely.multipoints(known))

@@ -147,7 +147,7 @@ def read_city(
     # The region, and the wider box from which a shadow can reach it: satellites are in view down to the mask alone.
     outlines = None
     if bounds is None:
-        covered, outlines = _extent(buildings.source, buildings.crs)
+        covered, outlines = _extent(buildings.source, buildings.crs, buildings)
     region = check_bounds(covered if bounds is None else bounds)
     if crs is None:
         crs = utm_of(region)
@@ -177,6 +177,7 @@ def read_city(
         beside=files["structures"],
         whole=outlines,
     )
+    del outlines  # as large as the city
     _check_buildings(buildings, source, ground, box_m, region)
     source = replace(source, kinds=kinds)
 
@@ -408,12 +409,14 @@ def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
     Raises:
       InputError: a file that cannot be read, or one without an outline.
     """
-    extent, _ = _extent(path, crs)
+    extent, _ = _extent(path, crs, None)
     return extent
 
 
-def _extent(path: str | Path, crs: str | None) -> tuple[Bounds, Outlines | None]:
-    """Return the box of `lonlat_extent`, and all outlines of the file where a region's are read from no others."""
+def _extent(
+    path: str | Path, crs: str | None, rules: settings.Buildings | None
+) -> tuple[Bounds, Outlines | None]:
+    """Return the box of `lonlat_extent`, and all outlines of the file where these were read for it, by settings."""
     file = Path(path)
     read = _reader_of(file, crs)
     if sniff(path) == LIDAR:
@@ -423,7 +426,7 @@ def _extent(path: str | Path, crs: str | None) -> tuple[Bounds, Outlines | None]
     box = header_box(path) if read is _read_osm else None
     if box is not None:
         return box, None
-    whole = read(file, None, None)
+    whole = read(file, None, rules)
     outlines = whole.take(~is_water(whole))  # shores lead far away
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(
@@ -436,7 +439,7 @@ def _extent(path: str | Path, crs: str | None) -> tuple[Bounds, Outlines | None]
             f"{str(path)!r} covers half the Earth, or lies on both sides of the antimeridian, across which no region "
             "reaches: give bounds, there on one side, to 180 or from -180; what stands on the other counts too"
         )
-    return extent, whole if read is _read_osm else None
+    return extent, whole
 
 
 def proposed_bounds(
@@ -498,14 +501,16 @@ def _city_of(
       learns: as of `to_buildings`.
     """
     buildings, structures, boxes_m, issues, learned = to_buildings(file, outlines, crs, learns)
-    area = shapely.Polygon() if outlines.is_part else area_of_outlines(buildings.polygons, boxes_m)
+    everything = buildings
+    area = shapely.Polygon()
     if bounds_m is not None:
         buildings, structures = (
             each.take(meets(each.boxes_m.T, bounds_m)) for each in (buildings, structures)
         )
         near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
-        near_area = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
-        area = area if near_area.is_empty else near_area
+        area = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
+    if area.is_empty and not outlines.is_part:
+        area = area_of_outlines(everything.polygons, boxes_m)
     return City(
         crs,
         area.bounds,
@@ -578,14 +583,16 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
     # Settlements: the square bins that hold the centre of any other outline and touch each other, grown by a metre so
     # that those that touch at a corner are joined too.
     centre = (bounds[:, :2] + bounds[:, 2:]) / 2
-    corner = pd.DataFrame(np.floor(centre / GAP_M)).drop_duplicates().to_numpy() * GAP_M
+    bins = pd.DataFrame(np.floor(centre / GAP_M))
+    bin_of = bins.groupby([0, 1], sort=False).ngroup().to_numpy()
+    corner = bins.drop_duplicates().to_numpy() * GAP_M
     grown = shapely.box(*(corner - 1.0).T, *(corner + GAP_M + 1.0).T)
     settlements = shapely.get_parts(shapely.union_all(grown))
 
     # The box around all outlines of each settlement.
-    places = shapely.STRtree(shapely.points(centre))
-    settlement, outline = places.query(settlements, predicate="contains")
-    by_settlement = pd.DataFrame(bounds[outline]).groupby(settlement)
+    places = shapely.STRtree(shapely.points(corner))
+    settlement, place = places.query(settlements, predicate="contains")
+    by_settlement = pd.DataFrame(bounds).groupby(settlement[np.argsort(place)][bin_of])
     hulls = by_settlement.agg({0: "min", 1: "min", 2: "max", 3: "max"})
     return shapely.union_all([declared, *shapely.box(*hulls.to_numpy().T)])
 

@@ -1,15 +1,16 @@
 """OpenStreetMap files: what may stand of them, assembled by pyosmium, and that of a box cut out of an extract."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from itertools import pairwise
+from functools import lru_cache
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import osmium
 import shapely
-from osmium.filter import IdFilter, KeyFilter
+from osmium.filter import EntityFilter, IdFilter, KeyFilter
 from osmium.geom import use_nodes
 
 from jaxurban.errors import readable
@@ -67,6 +68,7 @@ KEYS = {*MAYBE, *SOME, "layer"} - {"highway"}
 MAY_STAND = KeyFilter(*KEYS)
 MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type")  # of relations
 LAMPS = KeyFilter("highway")  # of nodes
+NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
 
 
 def read_osm(path: str | Path) -> Outlines:
@@ -104,8 +106,8 @@ class _Objects:
       tags: those that say what stands.
       shapes: WKB in hexadecimal.
       areas: what libosmium takes for areas, whether it could assemble them or not, and sites.
-      closed, open_ways, missing, degenerate: ways; the first may be anything, the third lack nodes, and the last
-        enclose nothing.
+      closed, open_ways, missing, degenerate: ways, the first two no areas that may stand; the third lack nodes, and
+        the last enclose nothing.
       lines: of ways, by id.
       ways_of: the ids of the ways of what has no shape.
       of_members: what relations of the type building say of their outlines.
@@ -127,46 +129,48 @@ class _Objects:
 
     def _read_objects(self, path: str | Path) -> None:
         """Read what may stand, and relations of buildings."""
-        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(MAY_STAND_OR_TYPE)
+        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(NO_WAYS)
+        processor = processor.with_filter(MAY_STAND_OR_TYPE)
         self.places: Any = processor.node_location_storage
         item: Any
         for item in processor:
-            if item.is_area():
+            kind = item.type_str()
+            if kind == "a":
                 key = "w" if item.from_way() else "r", item.orig_id()
                 self.areas.add(key)
             else:
-                key = item.type_str(), item.id
-                if item.is_way() and item.is_closed():  # its area has its tags
-                    self.closed.add(key)
-                    continue
+                key = kind, item.id
             tags = _tags_of(item.tags)
-            if item.is_relation():
+            if kind == "r":
                 if not self._keep_relation(item, tags):
                     continue
             elif not _may_stand(tags):
                 continue
-            elif item.is_node():
+            elif kind == "n":
                 self.shapes[key] = TO_WKB.create_point(item)
-            elif item.is_way():
-                self.open_ways.add(key)
-                self._keep_line(item)
             elif item.num_rings()[0] > 0:
                 self.shapes[key] = TO_WKB.create_multipolygon(item)
             self.tags[key] = tags
 
     def node(self, lamp: Any) -> None:
         """Keep what may be a lamp, for which pyosmium calls this."""
-        if not _names_any(lamp.tags["highway"], SOME["highway"]):
+        if not _is_some("highway", lamp.tags["highway"]):
             return
         self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
         self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
+
+    def way(self, way: Any) -> None:
+        """Keep the line of a way that is asked for, for which pyosmium calls this too."""
+        if way.id in self.ids:
+            self._keep_line(way)
 
     def _keep_relation(self, item: Any, tags: dict[str, str]) -> bool:
         """Keep the members of a relation that may need them; return whether it may stand itself, by its tags."""
         of_type = item.tags.get("type")
         if of_type == BUILDING:
-            outer = [each for each in item.members if each.role in ("outline", "outer")]
-            members = [(each.type, each.ref) for each in outer or item.members]
+            of_it = [*_all_of(item.members)]
+            outer = [each for each in of_it if each.role in ("outline", "outer")]
+            members = [(each.type, each.ref) for each in outer or of_it]
             self.of_members |= dict.fromkeys(members, tags)
             return False
         may_stand = _may_stand(tags)
@@ -179,35 +183,43 @@ class _Objects:
 
     def _keep_line(self, way: Any) -> None:
         """Keep the line of a way, and whether it lacks nodes."""
-        points: list[tuple[float, float]] = []
         try:
             line = shapely.from_wkb(bytes.fromhex(TO_WKB.create_linestring(way, use_nodes.ALL)))
-            points += map(tuple, shapely.get_coordinates(line).tolist())
         except (RuntimeError, osmium.InvalidLocationError):  # without the places of its nodes
+            points = []
             for node in way.nodes:
                 with suppress(KeyError):
                     place = self.places.get(node.ref)
                     points.append((place.lon, place.lat))
-        self.lines[way.id] = _line_of(points)
-        if len(points) < len(way.nodes):
-            self.missing.add(("w", way.id))
+            line = shapely.Point(points) if len(points) == 1 else shapely.LineString(points)
+            if len(points) < len(way.nodes):
+                self.missing.add(("w", way.id))
+        self.lines[way.id] = _each_side_once(line)
 
     def _read_lines(self, path: str | Path) -> None:
-        """Read the lines of what else has no shape, and the tags of closed ways that are no areas."""
-        lost = self.closed - self.areas
-        no_shape = (self.tags.keys() | lost | self.of_members.keys()) - self.shapes.keys()
+        """Read ways that may stand and are no areas, and the lines of what else has no shape."""
+        no_shape = (self.tags.keys() | self.of_members.keys()) - self.shapes.keys()
         self.ways_of |= {key: [key[1]] for key in no_shape if key[0] == "w"}
-        ids = {way for key in no_shape for way in self.ways_of.get(key, ())} - self.lines.keys()
         # An `IdFilter` would take 4 MiB for each range of ids.
-        for item in osmium.FileProcessor(_file(path), osmium.osm.WAY) if ids else ():
-            if item.id in ids:
+        self.ids = {way for key in no_shape for way in self.ways_of.get(key, ())}
+        places = osmium.NodeLocationsForWays(self.places)
+        places.ignore_errors()
+        ways = osmium.FileProcessor(_file(path), osmium.osm.WAY).with_filter(MAY_STAND)
+        item: Any
+        for item in ways.with_filter(places).handler_for_filtered(self):
+            self.way(item)
+            key = "w", item.id
+            if key in self.areas:
+                continue
+            tags = _tags_of(item.tags)
+            if _may_stand(tags):
+                self.tags[key] = tags
+                self.ways_of[key] = [item.id]
                 self._keep_line(item)
-                tags = _tags_of(item.tags)
-                if ("w", item.id) in lost and _may_stand(tags):
-                    self.tags["w", item.id] = tags
+                (self.closed if item.is_closed() else self.open_ways).add(key)
         self.degenerate = {
             key
-            for key in (lost & self.tags.keys()) - self.missing - self.of_members.keys()
+            for key in self.closed - self.missing - self.of_members.keys()
             if not self.tags[key].keys().isdisjoint(BUILDINGS)
             and shapely.build_area(self.lines[key[1]]).is_empty
         }
@@ -261,7 +273,7 @@ def _tags_of(tags: Any) -> dict[str, str]:
         return _named(tags, OF_BUILDINGS)
     if tags.get("natural") == "tree":  # there are many
         return _named(tags, OF_TREES)
-    return {name: value for name, value in tags if name in TAGS}
+    return {name: value for name, value in _all_of(tags) if name in TAGS}
 
 
 def _named(tags: Any, names: Sequence[str]) -> dict[str, str]:
@@ -270,28 +282,34 @@ def _named(tags: Any, names: Sequence[str]) -> dict[str, str]:
     return {name: value for name in names if (value := get(name)) is not None}
 
 
+def _all_of(items: Any) -> Iterator[Any]:
+    """Return the items of a list of pyosmium, which takes as long to find its end as for ten of them."""
+    return islice(items, len(items))
+
+
 def _may_stand(tags: dict[str, str]) -> bool:
     """Return whether an object with these tags (`_tags_of`) may stand, or is water."""
     if not tags.keys().isdisjoint(SURE) or tags.get("barrier", "kerb") not in LOW_BARRIERS:
         return True
-    if any(key in tags and _names_any(tags[key], values) for key, values in SOME.items()):
-        return True
+    for key in SOME.keys() & tags.keys():
+        if _is_some(key, tags[key]):
+            return True
     return tags.get("layer", "0") > "0" and ("highway" in tags or "railway" in tags)
 
 
-def _names_any(text: str, values: Collection[str]) -> bool:
-    """Return whether a value, or one of a list with semicolons, is one of some, in any case."""
-    return text in values or any(word.strip().lower() in values for word in text.split(";"))
+@lru_cache(maxsize=2**12)
+def _is_some(key: str, text: str) -> bool:
+    """Return whether a value of a key, or one of a list with semicolons, is one of `SOME`, in any case."""
+    return any(word.strip().lower() in SOME[key] for word in text.split(";"))
 
 
-def _line_of(points: list[tuple[float, float]]) -> shapely.Geometry:
-    """Return the line of points: a point of one, or empty; of a line that comes to a place again each side once."""
-    if len(points) == 1:
-        return shapely.Point(points)
+def _each_side_once(line: shapely.Geometry) -> shapely.Geometry:
+    """Return a line, or of one that comes to a place again each side once."""
+    points = [*map(tuple, shapely.get_coordinates(line).tolist())]
     if len({*points}) < len(points) - 1:
         sides = {tuple(sorted(side)) for side in pairwise(points) if side[0] != side[1]}
         return shapely.MultiLineString(sorted(sides))
-    return shapely.LineString(points)
+    return line
 
 
 def is_osm(path: str | Path) -> bool:
@@ -333,7 +351,7 @@ def open_osm(path: str | Path, *handlers: Any) -> osmium.FileProcessor:
 
 def _ways_of(relation: osmium.osm.Relation) -> list[int]:
     """Return the ids of the ways in a relation."""
-    return [member.ref for member in relation.members if member.type == "w"]
+    return [member.ref for member in _all_of(relation.members) if member.type == "w"]
 
 
 def header_box(path: str | Path) -> Bounds | None:

@@ -1,7 +1,7 @@
 """Features as a file holds them, near a region: their outlines, and under which names their tags are known."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -62,6 +62,12 @@ class Outlines:
             words[is_filled] = [str(value).strip().lower() for value in column[is_filled]]
             self._words[name] = words
         return self._words[name]
+
+    def says(self, name: str, texts: Iterable[str]) -> np.ndarray:
+        """Return ``[N]`` whether a tag of outlines is one of some texts in small letters, of which none is empty."""
+        if name not in self.tags:
+            return np.zeros(len(self.polygons), bool)
+        return pd.Series(self.texts(name)).isin([*texts]).to_numpy()
 
     @cached_property
     def _words(self) -> dict[str, np.ndarray]:

@@ -189,7 +189,8 @@ def check_are_heights(name: str, city: City, terrain: Raster | None) -> None:
         height_m = np.where(is_lost, np.inf, city.buildings.height_m)[is_stated]
         if len(height_m) < LEAST_STATED * len(is_stated):
             return
-        x_m, y_m = shapely.get_coordinates(shapely.centroid(city.buildings.polygons[is_stated])).T
+        has_ground = is_stated & (terrain is not None)
+        x_m, y_m = shapely.get_coordinates(shapely.centroid(city.buildings.polygons[has_ground])).T
     else:
         assert city.roofs is not None
         grid = covering_grid(city.extent_m, HOUSE_M, city.crs)

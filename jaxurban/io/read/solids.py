@@ -71,12 +71,14 @@ def prisms_of_solids(features: Outlines) -> pd.DataFrame:
     num_roofs = features.tags.get("num_roofs")
     axis = known_crs(features.crs).axis_info[-1]
     unit_m = 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
-    vertices, index = shapely.get_coordinates(outlines, include_z=True, return_index=True)
-    height_m = np.nan_to_num(vertices[:, 2]) * unit_m
+    has_z = shapely.has_z(outlines)
     rise_m = np.zeros(len(outlines))
-    np.maximum.at(rise_m, index, height_m - height_m.min(initial=np.inf))
+    if has_z.any():
+        vertices, index = shapely.get_coordinates(outlines, include_z=True, return_index=True)
+        height_m = np.nan_to_num(vertices[:, 2]) * unit_m
+        np.maximum.at(rise_m, index, height_m - height_m.min(initial=np.inf))
 
-    may_be = shapely.has_z(outlines) & (shapely.get_num_geometries(outlines) > 1)
+    may_be = has_z & (shapely.get_num_geometries(outlines) > 1)
     if not may_be.any():
         plain = {"feature": np.arange(len(outlines)), "height_m": math.nan, "polygon": outlines}
         return pd.DataFrame({**plain, "rise_m": rise_m})

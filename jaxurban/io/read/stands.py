@@ -76,7 +76,7 @@ def what_stands(outlines: Outlines, has_decks: bool, issues: ReadIssues) -> Outl
     is_deck = has_decks & is_areal & (outlines.texts("man_made") == DECK) & ~is_part
     if "building" in outlines.tags:
         is_building = _says_yes(outlines, "building") | is_part
-        is_building &= ~np.isin(outlines.texts("building"), list(NOT_BUILT))
+        is_building &= ~outlines.says("building", NOT_BUILT)
         is_deck &= ~is_building
     is_building |= is_deck
     verdict[is_building] = HULL
@@ -109,18 +109,15 @@ def _is_each(values: np.ndarray, of: type) -> np.ndarray:
 
 def is_water(outlines: Outlines) -> np.ndarray:
     """Return ``[N]`` whether features are water, or a shore of it."""
-    is_of = [np.isin(outlines.texts(key), values) for key, values in WATERS.items()]
-    return np.logical_or.reduce(is_of)
+    return np.logical_or.reduce([outlines.says(key, values) for key, values in WATERS.items()])
 
 
 def _says_yes(outlines: Outlines, name: str) -> np.ndarray:
     """Return ``[N]`` whether a tag has any value but those that mean no."""
-    text = outlines.texts(name)
-    if name not in outlines.tags:
-        return np.zeros(len(text), bool)
-    is_number = {value for value in {*text} if value[:1].isdigit()}
+    texts = {*outlines.texts(name)}
+    is_number = {value for value in texts if value[:1].isdigit()}
     no = NO if is_number - FLAGS else (*NO, "0", "0.0")
-    return ~np.isin(text, no)
+    return outlines.says(name, texts.difference(no))
 
 
 def _kinds(outlines: Outlines, is_areal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -140,8 +137,7 @@ def _kinds(outlines: Outlines, is_areal: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     kind = np.full(len(is_areal), None, object)
     label = np.full(len(is_areal), "", object)
-    building = outlines.texts("building")
-    is_said = building != "" if "building" in outlines.tags else is_areal
+    is_said = outlines.texts("building") != "" if "building" in outlines.tags else is_areal
     height = outlines.column("height")
     is_worded = np.zeros(len(is_areal), bool)
     barrier = outlines.texts("barrier")
@@ -156,18 +152,18 @@ def _kinds(outlines: Outlines, is_areal: np.ndarray) -> tuple[np.ndarray, np.nda
         if height_m > MAX_HEIGHT_M:
             kind[index] = OTHER
     is_low = (kind == LOW) | _says_yes(outlines, "indoor")
-    kind[np.isin(outlines.texts("natural"), LANDFORMS) & ~is_said] = GROUND
-    kind[np.isin(outlines.texts("waterway"), FALLS)] = GROUND
+    kind[outlines.says("natural", LANDFORMS) & ~is_said] = GROUND
+    kind[outlines.says("waterway", FALLS)] = GROUND
     for reason in (ReadIssue.RAZED, ReadIssue.PLANNED):
         values = [value for value, why in NOT_BUILT.items() if why is reason]
-        kind[_says_yes(outlines, reason) | np.isin(building, values)] = reason
+        kind[_says_yes(outlines, reason) | outlines.says("building", values)] = reason
     is_pond = is_areal & (outlines.texts("natural") == "water")
     is_above = is_raised(outlines)
     is_way = shapely.get_dimensions(outlines.polygons) > 0
     kind[is_above] = FIXED  # stops on a bridge, ways within a building
     kind[is_above & is_way & ~is_low] = BRIDGE
-    is_wind = np.isin(outlines.texts("wind"), WIND)
-    kind[_says_yes(outlines, "rotor") | _says_yes(outlines, "hub") | is_wind] = TURBINE
+    is_turned = _says_yes(outlines, "rotor") | _says_yes(outlines, "hub")
+    kind[is_turned | outlines.says("wind", WIND)] = TURBINE
 
     is_tagged = "building" in outlines.tags  # and no column of numbers
     for key, by_value in (BY_VALUE | IN_WORDS | KINDS).items():
@@ -175,7 +171,8 @@ def _kinds(outlines: Outlines, is_areal: np.ndarray) -> tuple[np.ndarray, np.nda
             continue
         texts = outlines.texts(key)
         named = {text: _kind_of(text, by_value, is_tagged) for text in {*texts}}
-        for index in np.flatnonzero([named[text] is not None for text in texts]):
+        telling = [text for text, of_text in named.items() if of_text is not None]
+        for index in np.flatnonzero(outlines.says(key, telling)):
             of_key = named[texts[index]]
             is_unknown = isinstance(of_key, Kind) and of_key.name == UNKNOWN
             is_stronger = _strength(of_key) >= _strength(kind[index])
@@ -235,6 +232,6 @@ def _is_below(outlines: Outlines) -> np.ndarray:
     has_none = (levels == 0) & (outlines.texts("levels_below") != "")
     is_below_only |= has_none & ~(roof_levels > 0)
     is_parking = outlines.texts("parking") == ReadIssue.UNDERGROUND
-    is_parking &= np.isin(outlines.texts("building"), GARAGES)
+    is_parking &= outlines.says("building", GARAGES)
     is_flat = ~is_given(outlines.column("height"))
     return is_below | is_flat & (is_below_only | is_parking & ~(levels > 0))
