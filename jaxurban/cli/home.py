@@ -20,7 +20,7 @@ from jaxurban.paths.export.suffixes import PICTURES
 from jaxurban.progress import LOG
 
 
-@click.command("return")
+@click.command()
 @FOLDER
 @click.option("--home", type=LONLAT, required=True, help="Home: longitude,latitude in degrees.")
 @CLEARANCES
@@ -30,7 +30,7 @@ from jaxurban.progress import LOG
     help="File to write: .tif, or a picture (.png, .pdf, .svg); or a folder for Zarr and GeoTIFF; repeatable."
 )
 @JSON_FLAG
-def return_home(
+def return_command(
     folder: Path,
     resolution_m: float | None,
     files: tuple[Path, ...],
