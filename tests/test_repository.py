@@ -1,5 +1,6 @@
-"""The repository's own rules: which tests run, what sources may name of libraries, which tables of the docs are old."""
+"""The repository's own rules: which tests run, which names sources may use and define, which tables of docs are old."""
 
+import ast
 import importlib.util
 import os
 import re
@@ -7,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -100,6 +102,51 @@ def test_no_source_imports_a_private_module_or_names_a_private_attribute_in_quot
         for path in (ROOT / folder).rglob("*.py")
     ]
     assert [path.name for path in files if pattern.search(path.read_text(encoding="utf-8"))] == []
+
+
+def names_defined(source: str) -> set[str]:
+    """Return the classes and public functions that a source defines, but not within a class or a function."""
+    kinds = (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    names = set()
+    blocks: list[ast.AST] = [ast.parse(source)]
+    while blocks:
+        for node in ast.iter_child_nodes(blocks.pop()):
+            if not isinstance(node, kinds):
+                blocks.append(node)
+            elif not node.name.startswith("_"):
+                names.add(node.name)
+    return names
+
+
+def test_classes_and_public_functions_are_counted_wherever_a_module_defines_them():
+    source = """
+class A:
+    def method(self): ...
+
+@wraps(print)
+def f():
+    def inner(): ...
+
+try:
+    async def g(): ...
+except ImportError:
+    def h(): ...
+
+def _private(): ...
+variable = lambda: 0
+"""
+    assert names_defined(source) == {"A", "f", "g", "h"}
+
+
+def test_the_name_of_a_class_or_public_function_stands_in_one_module():
+    """None is excepted: a command, which bears the name of the function that it calls, is named ``NAME_command``."""
+    modules = defaultdict(list)
+    for folder in ("jaxurban", "kernels", "planners"):
+        for path in (ROOT / folder).rglob("*.py"):
+            for name in names_defined(path.read_text(encoding="utf-8")):
+                modules[name].append(path.relative_to(ROOT).as_posix())
+    assert {"Grid", "plan", "Path"} <= modules.keys()
+    assert {name: files for name, files in modules.items() if len(files) > 1} == {}
 
 
 def test_warnings_go_by_the_one_function_that_finds_the_line_of_the_user():
