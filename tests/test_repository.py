@@ -1,6 +1,7 @@
 """The repository's own rules: which tests run, which names sources may use and define, which tables of docs are old."""
 
 import ast
+import importlib
 import importlib.util
 import os
 import re
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from collections import defaultdict
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -398,3 +400,21 @@ def test_the_recipe_asks_for_what_pyproject_asks_for():
     lines = recipe.split("  run:\n")[1].split("tests:")[0]
     assert re.findall(r"- (.*)", lines) == [f"python {project['requires-python']}", *named]
     assert f'version: "{project["version"]}"' in recipe
+
+
+def test_scripts_beside_the_package_import_names_that_it_has():
+    """Most pictures of the paper and most benchmarks are not drawn or run before a change lands."""
+    missing = []
+    for folder in ("benchmarks", "figures", "notebooks", "docs"):
+        for file in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("jaxurban"):
+                    module = importlib.import_module(str(node.module))
+                    names = [alias.name for alias in node.names]
+                    missing += [
+                        (file.name, module.__name__, name)
+                        for name in names
+                        if not hasattr(module, name)
+                        and find_spec(f"{module.__name__}.{name}") is None
+                    ]
+    assert missing == []

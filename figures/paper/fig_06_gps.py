@@ -12,7 +12,7 @@ from figures.paper.common import (
     means,
     shares,
 )
-from jaxurban.io.read.guesses import NOMINAL_SKY
+from jaxurban.knowledge import GuessKind
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
 from jaxurban.studies.montecarlo.analysis import GOOD
@@ -28,7 +28,8 @@ def caption(town: Town, maps: MetricMaps) -> Caption:
     poor = shares(maps, lambda z: maps.m("gps", z) < GOOD)
     worst = Gps().gdop_threshold
     gdop = worst - (worst - 1) * best
-    sky = "nominal satellites" if NOMINAL_SKY in maps.guesses else "element sets of that day"
+    is_nominal = any(guess.kind is GuessKind.NOMINAL_SKY for guess in maps.guesses)
+    sky = "nominal satellites" if is_nominal else "element sets of that day"
     return Caption(
         PAPER,
         f"The same order in {town.title}. Mean over free cells: {means(maps, 'gps')}. "
