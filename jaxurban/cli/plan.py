@@ -346,7 +346,7 @@ def plan(
     if planned.status.has_path:
         facts["cautions"] = planned.cautions
         for sentence in planned.cautions:
-            if sentence not in planned.message:  # which is printed too
+            if sentence.kind != "search":  # those are in the message, which is printed too
                 LOG.info(sentence)
     if as_json and not refused:
         if report is not None:
