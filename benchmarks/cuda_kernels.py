@@ -88,16 +88,16 @@ AZIMUTH_RAD, ELEVATION_RAD = (
 )
 
 
-def line(shape: tuple[int, ...]) -> sweep.Line:
+def line(shape: tuple[int, ...]) -> sweep.DigitalLine:
     return sweep.digital_line(AZIMUTH_RAD[0], ELEVATION_RAD[0], 5.0, 0, 0, shape)
 
 
-def lines_over(shape: tuple[int, int], num: int = NUM_SATELLITES) -> sweep.Line:
+def lines_over(shape: tuple[int, int], num: int = NUM_SATELLITES) -> sweep.DigitalLine:
     angles = AZIMUTH_RAD[:num], ELEVATION_RAD[:num]
     return sweep.stacked(sweep.digital_lines(*angles, 5.0, 0, 0, shape))
 
 
-def lines() -> sweep.Line:
+def lines() -> sweep.DigitalLine:
     return lines_over(SURFACE)
 
 
@@ -136,7 +136,7 @@ EDGES = float64(*REGION), float64(1024, 2), float64(1024, 2), float64()
 LINE = {"is_line": True, "passes_corners": array(dtype=bool)}
 
 NUM_QUERIES, NUM_TILES = 256, 32  # on a map of 1,024 cells a side
-GRID_OF_TILES = tiles.Grid(
+GRID_OF_TILES = tiles.TileGrid(
     float64(NUM_TILES * tiles.SIDE + 2, NUM_TILES * tiles.SIDE + 2),
     array(NUM_TILES * tiles.SIDE, NUM_TILES * tiles.SIDE, dtype=jnp.uint8),
     dict.fromkeys(STEPS, (1, 1.0, 1.0, 1.0)),
@@ -274,7 +274,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
         ),
     ),
     "shadows: words": lambda: Call(
-        sweep.visible_words,
+        sweep.words_along_lines,
         (array(*SURFACE), array(4, 1, 1), lines_over(SURFACE, ROUNDED), WHOLE),
         {"window": WINDOW},
     ),
@@ -392,7 +392,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
         tiles.begin, (ENDS_OF_TILES, ENDS_OF_TILES, BOUND_OF_TILES), {}, True
     ),
     "tiles: advance": lambda: Call(
-        tiles.advance, (open_tiles(), GRID_OF_TILES, float64(), WHOLE), TOGETHER, True
+        tiles.advance_tiles, (open_tiles(), GRID_OF_TILES, float64(), WHOLE), TOGETHER, True
     ),
     "cost of a route, gradient by heights": lambda: Call(
         buildings._slopes,

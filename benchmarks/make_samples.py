@@ -25,7 +25,7 @@ from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.land_cover import projected
 from jaxurban.io.read.nominal import GPS, MARK, Constellation, nominal_satellites
 from jaxurban.io.read.osm import OSM_CREDIT, header_box, read_osm
-from jaxurban.io.read.outlines import Outlines, joined
+from jaxurban.io.read.outlines import Outlines, joined_outlines
 from jaxurban.io.read.stands import is_water, what_stands
 from jaxurban.io.samples import (
     BASE_MAP_FILE,
@@ -121,7 +121,7 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
 
     # What else stands, with all tags that say so, and the water that bridges cross.
     rest = outlines.take(~is_kept)
-    others = joined(osm, [what_stands(rest, False, {}), _crossed(rest)])
+    others = joined_outlines(osm, [what_stands(rest, False, {}), _crossed(rest)])
     facts = {"credit": OSM_CREDIT, "licence": ODBL}
     write_geoparquet(home / STRUCTURES_FILE, _frame(others, outlines.tags), facts)
 

@@ -58,7 +58,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-def on_host(values: Any) -> np.ndarray:
+def host_array(values: Any) -> np.ndarray:
     """Return values for compiled functions, read-only as those of JAX are: Numba compiles again for another kind."""
     array = np.ascontiguousarray(values).view()
     array.flags.writeable = False

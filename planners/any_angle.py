@@ -22,11 +22,11 @@ from jaxurban.kernels.search.heap import (
     drop_top,
     place,
 )
-from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status, index_of, way_to
+from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status, cell_index, way_to
 from jaxurban.planners.bitstar.bounds import Bounds, cost_grid_of, make_bounds, reachable_cells
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost import sample_segment
-from jaxurban.planners.refine import check_line_model, shortened
+from jaxurban.planners.refine import check_line_model, shortcut_line
 
 STEPS_PER_NODE = 8
 CHUNK = 10_000  # expansions between two looks at the clock: some 5 to 50 ms
@@ -106,7 +106,7 @@ def theta_star(
         status = Status.BUDGET_EMPTY
         if len(xy):
             status = Status.FEASIBLE
-            points_m = shortened(cost_grid, xy) * problem.resolution_m
+            points_m = shortcut_line(cost_grid, xy) * problem.resolution_m
     return Path.of(
         problem,
         points_m,
@@ -133,8 +133,8 @@ def _search(
     """
     num_cells = cost_grid.cell_cost.size
     num_cols = cost_grid.cell_cost.shape[1]
-    start = index_of(problem, problem.start)
-    goal = index_of(problem, problem.goal)
+    start = cell_index(problem, problem.start)
+    goal = cell_index(problem, problem.goal)
     goal_row, goal_col = problem.goal
 
     # The bound's map part at cells' centres, which lie half-way between the borders.
@@ -156,7 +156,7 @@ def _search(
     heap.item[place(heap, 0.0, AS_HEAP)] = start
     num_expanded = 0
     while True:
-        ended, num_done = advance(cost_grid, nodes, goal, heap, CHUNK)
+        ended, num_done = advance_any_angle(cost_grid, nodes, goal, heap, CHUNK)
         num_expanded += num_done
         if ended == FULL:
             heap = heap.grown()
@@ -193,7 +193,7 @@ class AnyAngleNodes(NamedTuple):
 
 
 @compiled()
-def advance(cost_grid, nodes, goal, heap, max_expanded):
+def advance_any_angle(cost_grid, nodes, goal, heap, max_expanded):
     """Expand cells in order of f until the goal is reached, no cell is open, or ``max_expanded`` cells are expanded.
 
     A neighbour is reached by the step to it, or by the straight segment from the expanded cell's own

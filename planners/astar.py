@@ -153,7 +153,7 @@ def make_heuristic(name: str, problem: Problem, end_s: float = np.inf) -> Heuris
     if name == "none":
         return NO_HEURISTIC
     if name == "exact":
-        return NO_HEURISTIC._replace(field=cost_to_go(problem, end_s))
+        return NO_HEURISTIC._replace(field=exact_cost_to_go(problem, end_s))
     if name == "euclidean":
         return NO_HEURISTIC._replace(euclidean=per_side)
     if name == "landmarks":
@@ -284,7 +284,7 @@ def symmetric_costs(problem: Problem, end_s: float = np.inf) -> np.ndarray:
     return search.costs_from_start().reshape(problem.is_free.shape)
 
 
-def cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
+def exact_cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
     """Return ``[Y, X]`` the exact cost from every cell to a problem's goal, inf without a way.
 
     The costs are kept with the map for all queries to the same goal, until those to another goal take their place: a

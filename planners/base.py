@@ -83,7 +83,7 @@ class ProblemCache:
       cells: what holds under other weights too.
       cost, tile_minima: as of `Problem`.
       landmarks: from `astar.make_landmarks`.
-      costs_to_go: by goal, from `astar.cost_to_go`.
+      costs_to_go: by goal, from `astar.exact_cost_to_go`.
       corner_bounds: by start and goal, from `corners.with_corner_bound`.
     """
 
@@ -371,7 +371,7 @@ def grouped(
     return list(groups.values())
 
 
-def index_of(problem: Problem, cell: Cell) -> int:
+def cell_index(problem: Problem, cell: Cell) -> int:
     """Return the number of a cell in the problem's grid, row upon row."""
     return int(np.ravel_multi_index(cell, problem.is_free.shape))
 

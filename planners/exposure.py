@@ -16,8 +16,8 @@ import numpy as np
 
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.tolerances import SAME_EXPOSURE
-from jaxurban.planners.astar import cost_to_go
-from jaxurban.planners.base import Path, Planner, Problem, Status, index_of
+from jaxurban.planners.astar import exact_cost_to_go
+from jaxurban.planners.base import Path, Planner, Problem, Status, cell_index
 from jaxurban.planners.grid_search import graph_of
 
 ENOUGH = 1e-6  # relative: what prices are not known better for
@@ -149,7 +149,7 @@ class _Search:
         weights[-1, self.columns] += prices
         weighed = [problem.with_weights(row) for row in weights]
         try:
-            to_go = np.array([cost_to_go(query, self.end_s).ravel() for query in weighed])
+            to_go = np.array([exact_cost_to_go(query, self.end_s).ravel() for query in weighed])
         except TimeoutError:
             return 0, False
 
@@ -164,8 +164,8 @@ class _Search:
             graph_of(problem),
             layers,
             to_go,
-            index_of(problem, problem.start),
-            index_of(problem, problem.goal),
+            cell_index(problem, problem.start),
+            cell_index(problem, problem.goal),
             limits,
             prices,
             np.inf if best is None else best.cost,

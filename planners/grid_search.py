@@ -28,7 +28,7 @@ from jaxurban.kernels.search.heap import (
     refill,
 )
 from jaxurban.kernels.tolerances import CHEAPER
-from jaxurban.planners.base import Cell, Problem, index_of
+from jaxurban.planners.base import Cell, Problem, cell_index
 from jaxurban.planners.cost import STEPS
 
 # (levels up, rows, columns): the eight steps of a level, those that also climb, and descend, straight up, and down.
@@ -178,8 +178,8 @@ def path_points_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np
     num_cols = states.shape[1]
     offsets = (steps @ [num_cols, 1]).tolist()
     state = states.reshape(-1).data
-    start = index_of(problem, problem.start)
-    nodes = [index_of(problem, problem.goal)]
+    start = cell_index(problem, problem.start)
+    nodes = [cell_index(problem, problem.goal)]
     while nodes[-1] != start:
         nodes.append(nodes[-1] - offsets[state[nodes[-1]] & PARENT_STEP])
 

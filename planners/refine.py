@@ -75,7 +75,7 @@ def refine(problem: Problem, path: Path, /, *, budget_s: float = np.inf) -> Path
     for spacing in SPACINGS:
         moved, _ = subdivided(xy, spacing)
         _move(cost_grid, moved, end_s)
-        moved = shortened(cost_grid, moved)
+        moved = shortcut_line(cost_grid, moved)
         moved_m = moved * problem.resolution_m
         moved_m[[0, -1]] = path.points_m[[0, -1]]  # the ends to the last bit
         cost = problem.cost_of(moved_m)
@@ -165,7 +165,7 @@ def subdivided(xy: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([points, xy[-1:]]), np.append(part > 0, False)
 
 
-def shortened(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
+def shortcut_line(cost_grid: CostGrid, xy: np.ndarray) -> np.ndarray:
     """Return a polyline shortcut between points along it at their best, with no points that do nothing."""
     points, is_added = subdivided(xy, SPACING)
     # Between points on borders a segment could run along an obstacle's wall.

@@ -18,7 +18,7 @@ from jaxurban.planners.astar import (
     VOLUME_HEURISTICS,
     astar_dist,
     astar_plus,
-    cost_to_go,
+    exact_cost_to_go,
     make_landmarks,
     volume_astar,
 )
@@ -228,7 +228,7 @@ def solve_many(
             shared = [k for k in only if heuristics[k] == "exact"]
         for same_goal in grouped(problems, shared, _map_and_goal):
             # This fills the cache with the goal's field, on which the searches only walk down.
-            cost_to_go(problems[same_goal[0]])
+            exact_cost_to_go(problems[same_goal[0]])
             walk = partial(find_planner(planner, "exact"), budget_s=budget_s, seed=seed)
             yield from run(same_goal, walk)
 

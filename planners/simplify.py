@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from jaxurban.checks import positive
-from jaxurban.kernels.compiled import compiled, on_host
+from jaxurban.kernels.compiled import compiled, host_array
 from jaxurban.kernels.line.segment_cost import are_clear, is_clear
 from jaxurban.kernels.search.heap import NO_PARENT
 from jaxurban.planners.base import Path, Problem, Status, way_to
@@ -26,7 +26,9 @@ AHEAD = 1e-12  # relative: sums this much smaller are smaller
 
 
 @compiled_first()
-def simplify(problem: Problem, path: Path, tolerance_m: float, beside_m: float = 0.0, /) -> Path:
+def simplify_path(
+    problem: Problem, path: Path, tolerance_m: float, beside_m: float = 0.0, /
+) -> Path:
     """Return the path with as few waypoints as keep it within a tolerance of where it was, clear of closed cells.
 
     Waypoints are chosen from places along the path, at most a cell apart. Every leg that skips some of these keeps
@@ -119,7 +121,7 @@ def _fewest(
         return xy
 
     # By how much points may move: not at all, or in `DIRECTIONS` directions by each distance of `NUDGES`.
-    is_free = on_host(is_free)
+    is_free = host_array(is_free)
     tolerance = tolerance_m / side_m
     rings = np.minimum(np.array(NUDGES) * CLEAR_M / side_m, tolerance / 4)
     turn = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)

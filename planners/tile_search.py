@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxurban.kernels.search.tiles import SIDE, Grid, Search, advance, begin
+from jaxurban.kernels.search.tiles import SIDE, Search, TileGrid, advance_tiles, begin
 from jaxurban.planners.astar import astar, make_heuristic
 from jaxurban.planners.base import Path, Problem, Status, grouped
 from jaxurban.planners.bulk import device_kind, power_of_two
@@ -71,7 +71,7 @@ def solve_by_tiles(
 
 
 def costs_by_tiles(problem: Problem) -> np.ndarray:
-    """Return ``[Y, X]`` the exact cost from every cell to a problem's goal, as `astar.cost_to_go`."""
+    """Return ``[Y, X]`` the exact cost from every cell to a problem's goal, as `astar.exact_cost_to_go`."""
     start = np.full((1, 2), NOWHERE, np.int32)
     ((_, ended),) = _in_turns([problem], start, _tiled(problem.alone(), start), np.inf)
     return ended.costs
@@ -100,7 +100,7 @@ def _path(problem: Problem, ended: _Ended, planner: str) -> Path:
 def _in_turns(
     queries: list[Problem],
     starts: np.ndarray,
-    tiled: tuple[Grid, np.ndarray, float],
+    tiled: tuple[TileGrid, np.ndarray, float],
     budget_s: float,
 ) -> Iterator[tuple[int, _Ended]]:
     """Yield the number of each query on a map, and what is known of it, when it ends.
@@ -129,7 +129,7 @@ def _in_turns(
         """Return the search, a new one for None, after some rounds, and the lowest open f of each query."""
         with jax.enable_x64(True):
             search = begin(start, goal, bound) if search is None else search
-            search, low_f = advance(search, grid, band, num_rounds, num_together=num_together)
+            search, low_f = advance_tiles(search, grid, band, num_rounds, num_together=num_together)
             return search, np.asarray(low_f)
 
     with ThreadPoolExecutor(1, thread_name_prefix="tiles") as worker:
@@ -145,8 +145,8 @@ def _in_turns(
                 yield k, _Ended(costs, float(low_f[k]), int(search.num_visits[k]), begin_s)
 
 
-def _tiled(problem: Problem, start: np.ndarray) -> tuple[Grid, np.ndarray, float]:
-    """Return a problem's map on the device, the ``bound`` of queries, and the ``band`` (`advance`).
+def _tiled(problem: Problem, start: np.ndarray) -> tuple[TileGrid, np.ndarray, float]:
+    """Return a problem's map on the device, the ``bound`` of queries, and the ``band`` (`advance_tiles`).
 
     Args:
       problem: any query on the map.
@@ -187,5 +187,5 @@ def _tiled(problem: Problem, start: np.ndarray) -> tuple[Grid, np.ndarray, float
     step_cost = graph.step_cost[0] + share * np.median(problem.cost[problem.is_free])
     with jax.enable_x64(True):
         cost, moves = jax.device_put(framed)
-        grid = Grid(cost, moves, steps)
+        grid = TileGrid(cost, moves, steps)
         return grid, bound, BAND_STEPS * float(step_cost)

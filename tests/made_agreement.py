@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.maps.run import grid_of
+from jaxurban.maps.run import scenario_grid
 from jaxurban.studies.receiver.agreement import PlaceSky
-from jaxurban.studies.receiver.drive import track_of
+from jaxurban.studies.receiver.drive import drive_track
 from jaxurban.studies.receiver.logs import ReceiverLog
 from tests.receiver_logs import drive, scenario
 
@@ -49,7 +49,7 @@ def made() -> ju.studies.ReceiverValidation:
     scores = scores.assign(
         within=value - 0.1, within_low=low - 0.1, within_high=high - 0.1, num_satellites=6
     )
-    track = track_of("a drive", drive(), grid_of(scenario()), 30.0)
+    track = drive_track("a drive", drive(), scenario_grid(scenario()), 30.0)
     places = {"x_m": track.x_m, "y_m": track.y_m, "along_m": track.along_m}
     epochs = drive().assign(**places, num_visible=5.0, num_heard=4.0)
     start = epochs.iloc[300]

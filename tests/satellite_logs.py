@@ -7,7 +7,7 @@ import pandas as pd
 import shapely
 
 import jaxurban as ju
-from jaxurban.maps.run import grid_of, load_city
+from jaxurban.maps.run import load_city, scenario_grid
 from tests.receiver_logs import drive, scenario
 
 ANTENNA_M = 2.0
@@ -37,8 +37,8 @@ def heard() -> pd.DataFrame:
     rng = np.random.default_rng(2)
     buildings = load_city(scenario()).buildings
     epochs = drive().iloc[::4].reset_index(drop=True)
-    x_m, y_m = grid_of(scenario()).xy_of_lonlat(epochs.lon_deg, epochs.lat_deg)
-    turn_rad = grid_of(scenario()).convergence_rad(-73.9965, 40.758)
+    x_m, y_m = scenario_grid(scenario()).xy_of_lonlat(epochs.lon_deg, epochs.lat_deg)
+    turn_rad = scenario_grid(scenario()).convergence_rad(-73.9965, 40.758)
     rows = []
     for number, elevation_deg in enumerate([35, 50, 65, 40] * 2):
         name, azimuth_deg = f"{SYSTEMS[number % 2]}{number + 1:02d}", 20.0 + 45 * number

@@ -30,7 +30,7 @@ from jaxurban.io.read.tracks import LAT, LON, RULES, UTC, Rule, checked, renamed
 from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
 from jaxurban.kernels.shadows.sweep import WORD_BITS
-from jaxurban.maps.run import grid_of
+from jaxurban.maps.run import scenario_grid
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tile_scene import TileScene
@@ -39,7 +39,7 @@ from jaxurban.report.write import interval, table
 from jaxurban.satellites.sight import Sight
 from jaxurban.satellites.track import NUM_VISIBLE, Track, quality_along
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
-from jaxurban.studies.receiver.drive import track_of
+from jaxurban.studies.receiver.drive import drive_track
 from jaxurban.world.grid import Grid
 
 # What a log holds of how well the receiver did.
@@ -172,8 +172,8 @@ def counted(
     """
     settings = settings or CountSettings()
     logged = read_counts(log)
-    grid = grid_of(scenario)
-    track = track_of("of counts", logged, grid, settings.sky_step_s)
+    grid = scenario_grid(scenario)
+    track = drive_track("of counts", logged, grid, settings.sky_step_s)
     num_pieces = len(np.unique(track.along_m // settings.piece_m))
     if num_pieces < FEWEST_PIECES:
         raise InputError(

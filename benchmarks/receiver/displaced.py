@@ -13,7 +13,7 @@ import shapely
 
 from jaxurban.progress import Report
 from jaxurban.satellites.rule import is_seen
-from jaxurban.satellites.walk import Ground
+from jaxurban.satellites.walk import LegSurface
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.agreement import FEWEST_ROWS
 from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
@@ -47,7 +47,7 @@ class Displaced:
     def fill(
         self,
         column: np.ndarray,
-        ground: Ground,
+        ground: LegSurface,
         rays: Rays,
         known: shapely.Geometry | None,
         rise_m: float,

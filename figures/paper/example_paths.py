@@ -26,7 +26,7 @@ from jaxurban.report.figures.frame import (
     BLOCKED_COLOUR,
     NO_DATA_COLOUR,
     NO_DATA_PATCH,
-    MapLayer,
+    DrawnMap,
     MapPanel,
     draw_maps,
     flat_layer,
@@ -37,7 +37,7 @@ from jaxurban.report.figures.metrics import obstacle_patches
 from jaxurban.report.figures.paths import (
     COST_COLOURS,
     cost_layers,
-    outcome_of,
+    outcome_line,
     path_entries,
     planner_colours,
 )
@@ -144,7 +144,7 @@ def window(grid: Grid, paths: Sequence[PlannedPath]) -> Grid:
     )
 
 
-def crop(layer: MapLayer, grid: Grid, part: Grid) -> MapLayer:
+def crop(layer: DrawnMap, grid: Grid, part: Grid) -> DrawnMap:
     """Return what a layer on ``grid`` shows in ``part``; NaN, or class -1, beyond the grid."""
     beyond = np.int8(-1) if layer.values.dtype.kind == "i" else np.float32(np.nan)
     values = np.full(part.shape, beyond, layer.values.dtype)
@@ -167,7 +167,7 @@ def draw(
     closed = flat_layer(is_closed, BLOCKED_COLOUR)
     panels = []
     for case, part, paths in zip(cases, parts, results, strict=True):
-        outcomes = [outcome_of(path, path.search.planner) for path in paths]
+        outcomes = [outcome_line(path, path.search.planner) for path in paths]
         cut = [crop(layer, maps.grid, part) for layer in layers]
         foot = "\n".join(["cost, length:", *outcomes])
         hatched = crop(closed, maps.grid, part).values == 0

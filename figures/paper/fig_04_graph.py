@@ -11,7 +11,7 @@ from figures.paper.common import PATH_M, TOWNS, Caption, save
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import STEPS, CostModel, allowed_moves
 from jaxurban.planners.grid_search import graph_of
-from jaxurban.report.figures.metrics import percent
+from jaxurban.report.figures.metrics import precise_percent
 from jaxurban.report.figures.style import INK, SMALL_PT, TEXT_PT, chart, inches, wrapped
 
 ALTITUDE_M = 20.0
@@ -166,7 +166,7 @@ def caption(own: list[list[Edge]], num_edges: list[int]) -> Caption:
     ]
     cuts = {town.title: corner_cuts(town.maps(PATH_M).is_free(ALTITUDE_M)) for town in TOWNS}
     shares = " and ".join(
-        f"{percent(past)} in {title} ({percent(between)} lead between two obstacles)"
+        f"{precise_percent(past)} in {title} ({precise_percent(between)} lead between two obstacles)"
         for title, (past, between) in cuts.items()
     )
     return Caption(

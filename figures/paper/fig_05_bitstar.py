@@ -20,14 +20,14 @@ from jaxurban.planners.bitstar.bounds import make_bounds
 from jaxurban.planners.bitstar.planner import Batches, BitStarOptions, bitstar_plus
 from jaxurban.planners.bitstar.tree import Tree
 from jaxurban.report.figures.frame import (
-    MapLayer,
+    DrawnMap,
     MapPanel,
     draw_maps,
     flat_layer,
     frame_note,
     rules_said,
 )
-from jaxurban.report.figures.metrics import percent
+from jaxurban.report.figures.metrics import precise_percent
 from jaxurban.report.figures.style import FAINT_INK, INK, Colours
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
@@ -91,12 +91,12 @@ class Picture:
         """Return points in cell sides as easting, northing."""
         return xy * RESOLUTION_M + self.corner_m
 
-    def ground(self) -> list[MapLayer]:
+    def ground(self) -> list[DrawnMap]:
         """Return the map cost, faintly, and the obstacles."""
         problem = self.problem
         shown = np.where(problem.is_free, problem.cost, np.nan)
         norm = Normalize(0, 2.2 * np.nanmax(shown))
-        return [MapLayer(shown, Colours("Greys", norm)), flat_layer(~problem.is_free, OBSTACLE)]
+        return [DrawnMap(shown, Colours("Greys", norm)), flat_layer(~problem.is_free, OBSTACLE)]
 
     def space(self, panel: Axes, cost: float) -> None:
         """Draw the edge of the space that can still hold a cheaper path, and grey out the rest."""
@@ -161,7 +161,7 @@ def panel_titles(problem: Problem, batches: Sequence[Batches], kept: Tree) -> li
         sum(len(batch.samples) for batch in batches),
         len(first.tree.xy) - len(kept.xy),
     )
-    left = percent(share_left(problem, first.cost))
+    left = precise_percent(share_left(problem, first.cost))
     return [
         f"batch 1: {len(first.samples)} samples, {num_edges(first.tree)} tree edges, cost {first.cost:,.0f}",
         f"smaller space: {left} of free cells, {num_dropped} samples dropped",
@@ -207,7 +207,8 @@ def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batches]) -
     on_grid, usual = astar(problem), query(maps, ju.Weights())
     usual_cost = run(usual)[-1].cost
     sides = [
-        percent(share_left(problem, last.cost, heuristic)) for heuristic in ("plus", "euclidean")
+        precise_percent(share_left(problem, last.cost, heuristic))
+        for heuristic in ("plus", "euclidean")
     ]
     return Caption(
         PAPER,
@@ -217,8 +218,9 @@ def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batches]) -
         f"a cheaper path; by distance alone it would be {sides[1]}.",
         "Ours leaves out what distance and the cheapest map costs on the way rule out (solid line), not distance alone "
         f"(dashed). A metre weighs {WEIGHTS.distance:g} here: with our usual {ju.Weights().distance:g} the maps rule "
-        f"the cost, and {percent(share_left(usual, usual_cost))} of the free cells are left after {NUM_BATCHES} "
-        "batches. A batch of ours does not end with its first solution, but when no edge left can improve it.",
+        f"the cost, and {precise_percent(share_left(usual, usual_cost))} of the free cells are left after "
+        f"{NUM_BATCHES} batches. A batch of ours does not end with its first solution, but when no edge left can "
+        "improve it.",
     )
 
 

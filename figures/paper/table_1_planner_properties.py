@@ -7,7 +7,7 @@ import jaxurban as ju
 from figures.paper.common import MANHATTAN, PATH_M, Caption, save_table
 from jaxurban.maps.scenario import PAPER_PLANNERS
 from jaxurban.paths.rows import solve_instance
-from jaxurban.studies.montecarlo.analysis import joined
+from jaxurban.studies.montecarlo.analysis import with_instances
 from jaxurban.studies.montecarlo.trial import INVALID, WEIGHTED, Benchmark
 
 ALTITUDE_M, NUM_QUERIES, NUM_SAMPLES, SEED = 20.0, 40, 2000, 0
@@ -68,7 +68,7 @@ def trial() -> pd.DataFrame:
             rows += solve_instance(
                 settings, on, query, [(name, WEIGHTED) for name in PAPER_PLANNERS]
             )
-    return joined(pd.DataFrame(rows), queries)
+    return with_instances(pd.DataFrame(rows), queries)
 
 
 def measured(answers: pd.DataFrame) -> pd.DataFrame:

@@ -76,7 +76,7 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
 @FILES(help="Folder of the report, or a file of findings: .geojson, .csv or .parquet; repeatable.")
 @OVERWRITE
 @JSON_FLAG
-def check(
+def check_command(
     folder: Path,
     mission: Path,
     heights: "Datum | None",

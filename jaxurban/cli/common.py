@@ -37,7 +37,7 @@ Point = tuple[float, float]  # of LONLAT
 MapsOf = Callable[[Path], "MapsFolder"]  # the maps of a folder, not opened yet
 
 
-class RouteRules(TypedDict):
+class RouteOptions(TypedDict):
     """What routes are planned under, as keywords of `jaxurban.cost_map` and the like."""
 
     weights: dict[str, float]
@@ -184,7 +184,7 @@ def check_route(
 PATH, GIVEN, MAPS_PATH = NamedPath(), NamedPath(check_given), NamedPath(stored_maps)
 
 
-def together(*parameters: Callable) -> Callable[[Callable], Callable]:
+def options_together(*parameters: Callable) -> Callable[[Callable], Callable]:
     """Return a decorator that adds options and arguments to a command, which lists them in this order."""
 
     def add(command: Callable) -> Callable:
@@ -228,7 +228,7 @@ def use_device(name: str | None) -> None:
     LOG.info(f"device: {jax.local_devices()[0].device_kind} ({jax.default_backend()})")
 
 
-def grouped(
+def grouped_options(
     argument: str, make: Callable[..., Any], *options: Callable
 ) -> Callable[[Callable], Callable]:
     """Return a decorator that adds several options to a command, which gets one argument made of their values.
@@ -247,7 +247,7 @@ def grouped(
             values[argument] = make(**own_values)
             return command(**values)
 
-        return together(*options)(call)
+        return options_together(*options)(call)
 
     return add
 
@@ -406,7 +406,7 @@ RESOLUTION = NUMBER(
     "resolution_m",
     help="Cell size of the maps in metres; needed where DIR holds several.",
 )
-MAPS = grouped(
+MAPS = grouped_options(
     "maps_of",
     folders_of,
     RESOLUTION,
@@ -417,7 +417,7 @@ MAPS = grouped(
         "covers; paths may then cut true outlines.  [default: the scenario's, else touched]",
     ),
 )
-CLEARANCES = together(
+CLEARANCES = options_together(
     METRES(
         "--clearance",
         "clearance_m",
@@ -436,7 +436,7 @@ CEILING = SHOWN(
     metavar="METRES",
     help="Greatest height of a return, above the ground at home; legs are not held against it.",
 )
-LIMITS = grouped(
+LIMITS = grouped_options(
     "constraints",
     limits_of,
     click.option(
@@ -452,7 +452,7 @@ LIMITS = grouped(
     ),
     CLEARANCES,
 )
-CONSTRAINTS = grouped(
+CONSTRAINTS = grouped_options(
     "constraints",
     constraints_given,
     LIMITS,
@@ -481,12 +481,12 @@ WEIGHTS = click.option(
     callback=weights_in,
     help="Weights such as gps=1,risk=2; others keep their values.",
 )
-RULES = grouped("rules", RouteRules, PRESET, COST_MODEL, WEIGHTS, CONSTRAINTS)
+RULES = grouped_options("rules", RouteOptions, PRESET, COST_MODEL, WEIGHTS, CONSTRAINTS)
 TIME_OF_DAY = click.option(
     "--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"
 )
 PLACE = partial(click.option, type=LONLAT, required=True, callback=check_over_maps)
-ROUTE = together(  # a route over maps
+ROUTE = options_together(  # a route over maps
     FOLDER,
     PLACE("--start", help="Start: longitude,latitude in degrees."),
     PLACE("--goal", help="Goal: longitude,latitude in degrees."),
@@ -509,7 +509,7 @@ ROUTE = together(  # a route over maps
         help="Move a start or goal that is not free to the nearest free cell, by at most 50 m or METRES.",
     ),
 )
-CORRIDOR = grouped(
+CORRIDOR = grouped_options(
     "corridor",
     density_beneath,
     METRES(
@@ -535,7 +535,7 @@ CORRIDOR = grouped(
         help="With --corridor: side of the cells of the mean.  [default: 200; 100 and 500 are printed too]",
     ),
 )
-WORKERS = grouped(
+WORKERS = grouped_options(
     "workers",
     workers_of,
     click.option(

@@ -44,7 +44,7 @@ from jaxurban.cli.common import (
 @OVERWRITE
 @DEVICE
 @JSON_FLAG
-def compare(
+def compare_command(
     folder_a: Path,
     folder_b: Path,
     output: Path,
@@ -128,7 +128,7 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
 @OVERWRITE
 @DEVICE
 @JSON_FLAG
-def validate(
+def validate_command(
     scenario_file: Path,
     log_file: Path | None,
     output: Path,
@@ -155,13 +155,13 @@ def validate(
     import pandas as pd
 
     from jaxurban.io.tables import records_of
-    from jaxurban.studies.receiver.validate import validate as validate_log
+    from jaxurban.studies.receiver.validate import validate
 
     result = run_study(
         "validate",
         output,
         partial(
-            validate_log,
+            validate,
             scenario,
             log_file,
             receiver,

@@ -23,7 +23,7 @@ COLUMNS = "altitude_m", "settings.time_of_day", "planner", "status", "cost", "le
 @OVERWRITE
 @DEVICE
 @JSON_FLAG
-def demo(folder: Path, overwrite: bool, as_json: bool) -> None:
+def demo_command(folder: Path, overwrite: bool, as_json: bool) -> None:
     """Make maps, paths and pictures of Lower Manhattan.
 
     Every planner plans paths across it. No file is needed.

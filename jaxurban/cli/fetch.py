@@ -51,7 +51,7 @@ from jaxurban.progress import LOG
 @FLAG("--overwrite", help="Move existing files to the folder `kept` and fetch them again.")
 @FLAG("--dry-run", "is_dry_run", help="List the requests without making them.")
 @JSON_FLAG
-def fetch(
+def fetch_command(
     bounds: tuple[float, ...],
     folder: Path,
     what: tuple[str, ...],
@@ -67,8 +67,7 @@ def fetch(
 
     The sources are public. A scenario that uses the files is written beside them.
     """
-    from jaxurban.io.fetch import SCENARIO_FILE, FetchJob
-    from jaxurban.io.fetch import fetch as fetch_files
+    from jaxurban.io.fetch import SCENARIO_FILE, FetchJob, fetch
     from jaxurban.maps.free_memory import parse_bytes
 
     # The addresses of other places, by the name of what is fetched from there.
@@ -91,7 +90,7 @@ def fetch(
             for request in requests:
                 print(f"{request['source']}: {request['url']}")
     else:
-        record = fetch_files(job, folder, most_bytes=most_bytes, overwrite=overwrite)
+        record = fetch(job, folder, most_bytes=most_bytes, overwrite=overwrite)
         for note in record["left_out"]:
             LOG.info(note)
         if "osm" in job.what:

@@ -19,7 +19,7 @@ from jaxurban.cli.common import (
 )
 
 
-@click.command("return")
+@click.command()
 @FOLDER
 @click.option("--home", type=LONLAT, required=True, help="Home: longitude,latitude in degrees.")
 @CLEARANCES
@@ -29,7 +29,7 @@ from jaxurban.cli.common import (
     help="File to write: .tif, or a picture (.png, .pdf, .svg); or a folder for Zarr and GeoTIFF; repeatable."
 )
 @JSON_FLAG
-def return_home(
+def return_command(
     folder: Path,
     resolution_m: float | None,
     files: tuple[Path, ...],

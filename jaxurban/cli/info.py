@@ -26,7 +26,7 @@ MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # 
 @click.command()
 @click.argument("path", metavar="FILE|DIR", type=GIVEN)
 @JSON_FLAG
-def info(path: Path, as_json: bool) -> None:
+def info_command(path: Path, as_json: bool) -> None:
     """Say what a file or a folder of maps holds.
 
     FILE is of buildings, or a raster: printed are extent, CRS, counts and guessed heights. Of a mission, a receiver's

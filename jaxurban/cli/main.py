@@ -15,20 +15,20 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.check import check
+from jaxurban.cli.check import check_command
 from jaxurban.cli.common import logged_on_stderr, print_json
-from jaxurban.cli.compare import compare, validate
-from jaxurban.cli.demo import demo
-from jaxurban.cli.fetch import fetch
-from jaxurban.cli.home import return_home
-from jaxurban.cli.info import info
-from jaxurban.cli.maps import maps
-from jaxurban.cli.plan import plan
-from jaxurban.cli.sensitivity import sensitivity, sensitivity_study
-from jaxurban.cli.sky import sky
-from jaxurban.cli.study import study
-from jaxurban.cli.tune import tune
-from jaxurban.cli.view import view
+from jaxurban.cli.compare import compare_command, validate_command
+from jaxurban.cli.demo import demo_command
+from jaxurban.cli.fetch import fetch_command
+from jaxurban.cli.home import return_command
+from jaxurban.cli.info import info_command
+from jaxurban.cli.maps import maps_command
+from jaxurban.cli.plan import plan_command
+from jaxurban.cli.sensitivity import sensitivity_command, sensitivity_study_command
+from jaxurban.cli.sky import sky_command
+from jaxurban.cli.study import study_command
+from jaxurban.cli.tune import tune_command
+from jaxurban.cli.view import view_command
 from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, interrupted
@@ -40,21 +40,21 @@ NO_MEMORY = (
 
 
 COMMANDS = (
-    check,
-    compare,
-    demo,
-    fetch,
-    info,
-    maps,
-    plan,
-    return_home,
-    sensitivity,
-    sensitivity_study,
-    sky,
-    study,
-    tune,
-    validate,
-    view,
+    check_command,
+    compare_command,
+    demo_command,
+    fetch_command,
+    info_command,
+    maps_command,
+    plan_command,
+    return_command,
+    sensitivity_command,
+    sensitivity_study_command,
+    sky_command,
+    study_command,
+    tune_command,
+    validate_command,
+    view_command,
 )
 
 

@@ -48,7 +48,7 @@ from jaxurban.progress import LOG, reporting
     "the quicker one]",
 )
 @JSON_FLAG
-def maps(
+def maps_command(
     scenario_file: Path,
     output: Path,
     changes: tuple[str, ...],

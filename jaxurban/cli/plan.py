@@ -21,10 +21,10 @@ from jaxurban.cli.common import (
     ROUTE,
     DependentOption,
     MapsOf,
-    RouteRules,
+    RouteOptions,
     Settings,
     check_route,
-    grouped,
+    grouped_options,
     print_json,
     write_outputs,
 )
@@ -177,7 +177,7 @@ class RouteFiles(NamedTuple):
     type=click.Choice(["weighted", "distance"]),
     help="[default: the scenario's, else weighted]",
 )
-@grouped(
+@grouped_options(
     "levels",
     levels_given,
     FLAG(
@@ -203,7 +203,7 @@ class RouteFiles(NamedTuple):
     "--goal-altitude", "goal_altitude_m", help="With --volume, metres.  [default: --altitude]"
 )
 @FLAG("--report", "with_report", help="Report costs, people and clearance, by segment.")
-@grouped(
+@grouped_options(
     "flight",
     FlightOptions,
     NUMBER("--speed", "speed_m_s", help="Metres per second, for times.  [default: the vehicle's]"),
@@ -217,7 +217,7 @@ class RouteFiles(NamedTuple):
     ),
 )
 @CORRIDOR
-@grouped(
+@grouped_options(
     "outputs",
     RouteFiles,
     click.option(
@@ -255,7 +255,7 @@ class RouteFiles(NamedTuple):
 )
 @DEVICE
 @JSON_FLAG
-def plan(
+def plan_command(
     folder: Path,
     start: tuple[float, ...],
     goal: tuple[float, ...],
@@ -266,7 +266,7 @@ def plan(
     time_of_day: str | None,
     maps_of: MapsOf,
     objective: "Objective | None",
-    rules: RouteRules,
+    rules: RouteOptions,
     with_report: bool,
     flight: Settings,
     corridor: "Callable[..., OverflownDensity] | None",

@@ -27,18 +27,18 @@ from jaxurban.cli.common import (
     MapsOf,
     Numbers,
     Point,
-    RouteRules,
+    RouteOptions,
     Settings,
     all_cores,
+    options_together,
     outcome_of,
     print_json,
     run_study,
-    together,
 )
 from jaxurban.progress import LOG
 
 NO_ROUTE = "no route was found, so that nothing can be said: the report says why"
-WEIGHT_RANGES = together(
+WEIGHT_RANGES = options_together(
     NAMES(
         "--vary",
         metavar="NAME,...",
@@ -83,7 +83,7 @@ DRAWN_ROUTES = 30  # in each folder of maps
 )
 @WEIGHT_RANGES
 @SHOWN("-o", "output", type=PATH, default=Path("out/sensitivity"))
-def sensitivity(
+def sensitivity_command(
     folder: Path,
     start: Point,
     goal: Point,
@@ -91,7 +91,7 @@ def sensitivity(
     time: str | None,
     time_of_day: str | None,
     maps_of: MapsOf,
-    rules: RouteRules,
+    rules: RouteOptions,
     snap: bool | float,
     buildings: bool,
     scenario: Path | None,
@@ -110,8 +110,7 @@ def sensitivity(
     from jaxurban.report.buildings import write_buildings
     from jaxurban.report.sensitivity import ranges, sensitivity_markdown, sensitivity_outputs
     from jaxurban.report.write import REPORT_FILE, save
-    from jaxurban.studies.weights.study import SensitivitySettings
-    from jaxurban.studies.weights.study import sensitivity as study
+    from jaxurban.studies.weights.study import SensitivitySettings, sensitivity
 
     settings = SensitivitySettings(**options)  # all other options are its fields
 
@@ -133,7 +132,7 @@ def sensitivity(
     result = run_study(
         "sensitivity",
         output,
-        partial(study, costs, start, goal, snap=snap, settings=settings),
+        partial(sensitivity, costs, start, goal, snap=snap, settings=settings),
         overwrite,
     )
 
@@ -157,7 +156,7 @@ def sensitivity(
     return 0
 
 
-@click.command("sensitivity-study")
+@click.command()
 @click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=MAPS_PATH)
 @click.option(
     "--routes",
@@ -198,7 +197,7 @@ def sensitivity(
 @WORKERS
 @WEIGHT_RANGES
 @SHOWN("-o", "output", type=PATH, default=Path("out/sensitivity-study"))
-def sensitivity_study(
+def sensitivity_study_command(
     folders: tuple[Path, ...],
     num_routes: int | None,
     altitudes_m: tuple[float, ...] | None,
@@ -223,7 +222,7 @@ def sensitivity_study(
 
     from jaxurban.io.tables import read_table, records_of
     from jaxurban.maps.sources import scenario_of
-    from jaxurban.report.run_sensitivity import sensitivity_study as study
+    from jaxurban.report.run_sensitivity import sensitivity_study
     from jaxurban.studies.weights.routes import SensitivityStudySettings
 
     # The scenario of the one folder, which goes by the name of its city.
@@ -237,7 +236,7 @@ def sensitivity_study(
     weights = rules.pop("weights")
     settings = SensitivityStudySettings(**options, **rules)
     routes = num_routes or DRAWN_ROUTES
-    result = study(
+    result = sensitivity_study(
         [maps_of(folder) for folder in folders],
         output,
         routes if queries is None else read_table(queries, "queries"),

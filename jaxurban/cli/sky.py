@@ -62,7 +62,7 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
     help="File to write: .csv or .parquet, or a picture (.png, .pdf, .svg) of the sky at a place; repeatable."
 )
 @JSON_FLAG
-def sky(
+def sky_command(
     folder: Path,
     place: Point | None,
     track: Path | None,

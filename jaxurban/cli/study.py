@@ -49,7 +49,7 @@ NO_ROUTE = "no planner found a path for any instance: the report says why"
 @OVERWRITE
 @DEVICE
 @JSON_FLAG
-def study(
+def study_command(
     scenario_file: Path,
     folder: Path,
     instances_file: Path | None,
@@ -85,8 +85,7 @@ def study(
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.planners.cost import CostModel
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
-    from jaxurban.studies.montecarlo.study import land_cover_of, without_sampling
-    from jaxurban.studies.montecarlo.study import study as run_study
+    from jaxurban.studies.montecarlo.study import land_cover_of, study, without_sampling
 
     planning = scenario.planning
     settings = scenario.study
@@ -121,7 +120,7 @@ def study(
             seed=settings.seed,
             **rules,
         )
-    result = run_study(
+    result = study(
         source,
         folder / "study",
         instances,

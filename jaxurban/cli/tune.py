@@ -24,7 +24,7 @@ from jaxurban.cli.common import (
     SEED,
     MapsOf,
     Settings,
-    grouped,
+    grouped_options,
     print_json,
 )
 from jaxurban.progress import LOG
@@ -89,7 +89,7 @@ class Fits(TypedDict):
 )
 @PRESET
 @CONSTRAINTS
-@grouped(
+@grouped_options(
     "fits",
     Fits,
     click.option(
@@ -116,7 +116,7 @@ class Fits(TypedDict):
 @OVERWRITE
 @DEVICE
 @JSON_FLAG
-def tune(
+def tune_command(
     words: tuple[Path, ...],
     output: Path,
     sample: int | None,

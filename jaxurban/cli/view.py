@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     help="Port to listen at.  [default: any that is free]",
 )
 @FLAG("--no-browser", help="Do not open a browser; the address is printed.")
-def view(
+def view_command(
     folder: Path,
     maps_of: MapsOf,
     preset: "Preset",

@@ -246,7 +246,7 @@ def _writing() -> Iterator[None]:
         raise
 
 
-def profile_of(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any]:
+def raster_profile(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any]:
     """Return the arguments by which rasterio opens a new GeoTIFF of ``count`` bands on a grid.
 
     It is tiled and north-up, and ``nodata`` is what stands for no value in maps of this dtype.
@@ -286,7 +286,7 @@ def write_bands(
     Raises:
       InputError: the folder cannot be written to.
     """
-    profile = profile_of(grid, np.dtype(np.float32), len(bands))
+    profile = raster_profile(grid, np.dtype(np.float32), len(bands))
     with (
         whole_file(file) as scratch,
         _writing(),
@@ -334,7 +334,7 @@ def write_cog(
         plain = Path(folder) / "plain.tif"
         row = 0
         with rasterio.open(
-            plain, "w", **profile_of(grid, dtype), blockxsize=BLOCK, blockysize=BLOCK
+            plain, "w", **raster_profile(grid, dtype), blockxsize=BLOCK, blockysize=BLOCK
         ) as file:
             for part in rows:
                 file.write(part, 1, window=Window(0, row, part.shape[1], len(part)))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numcodecs import Zstd
 
-from jaxurban.io.stored import METADATA, settings_of, stored_maps
+from jaxurban.io.stored import METADATA, stored_maps, stored_settings
 
 
 def glance(folder: Path) -> Any:
@@ -38,7 +38,7 @@ def glance(folder: Path) -> Any:
                 for name, part in parts.items()
                 if name.endswith("/.zattrs")
             },
-            recorded=settings_of(folder) or json.loads(attrs.get("settings", "{}")),
+            recorded=stored_settings(folder) or json.loads(attrs.get("settings", "{}")),
             altitudes_m=values("altitude", "<f8").tolist(),
             times=[f"{time}Z" for time in values("time", "<M8[s]")],
         )

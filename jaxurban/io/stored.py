@@ -92,7 +92,7 @@ def are_of_a_run(folder: Path) -> bool:
     return any(b'"run_key"' in file.read_bytes() for file in files if file.is_file())
 
 
-def settings_of(folder: Path) -> dict[str, Any]:
+def stored_settings(folder: Path) -> dict[str, Any]:
     """Return the settings of the run that made the maps in ``folder``, from `RUN_FILE`.
 
     They are empty where the maps were saved from Python, or where there are none.

@@ -93,7 +93,7 @@ def gps_of(scenario: Scenario) -> Gps:
     return replace(scenario.gps, orbits=orbits)
 
 
-def grid_of(scenario: Scenario, resolution_m: float | None = None) -> Grid:
+def scenario_grid(scenario: Scenario, resolution_m: float | None = None) -> Grid:
     """Return the grid of a scenario's maps at one of their resolutions; None: the first.
 
     The grids of all resolutions cover the same box, as their bounds are snapped outward to cells of the coarsest one.
@@ -120,7 +120,7 @@ def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
     tasks = []
     with stage("orbits"):
         for resolution_m in scenario.region.resolution_m:
-            grid = grid_of(scenario, resolution_m)
+            grid = scenario_grid(scenario, resolution_m)
             bands = bands_of(scenario.layers, grid, params.altitudes_m, scenario.path_of(""))
             sky = view_sky(grid, gps)
             tasks.append(MapTask(city, grid, sky, params, scenario.layers, bands))

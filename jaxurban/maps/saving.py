@@ -9,7 +9,7 @@ from jaxurban.io.files import sweep_scraps
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, missing_geotiffs, write_geotiffs
 from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.io.store import OPENED, open_zarr, write_zarr
-from jaxurban.io.stored import GEOTIFF_FOLDER, RUN_FILE, are_of_a_run, root_files, settings_of
+from jaxurban.io.stored import GEOTIFF_FOLDER, RUN_FILE, are_of_a_run, root_files, stored_settings
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.variables import NEEDED
@@ -101,5 +101,5 @@ def open_maps(
         )
     base = folder.resolve() / BASE_MAP_FILE
     maps = MetricMaps(ds, obstacles, base if base.is_file() else None)
-    settings = settings_of(folder)
+    settings = stored_settings(folder)
     return maps.with_recorded(settings) if settings else maps

@@ -10,7 +10,7 @@ from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
 from jaxurban.io.samples import sample_of
-from jaxurban.io.stored import RUN_FILE, settings_of
+from jaxurban.io.stored import RUN_FILE, stored_settings
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
 from jaxurban.maps.scenario import Scenario
@@ -53,7 +53,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     """
     if sources is not None and not Path(sources).is_dir():
         raise InputError(f"sources must be a folder, and {str(sources)!r} is none: check the path")
-    settings = _with_kinds(settings_of(folder))
+    settings = _with_kinds(stored_settings(folder))
     if "bounds" not in settings.get("region", {}):
         raise InputError(
             f"the maps in {str(folder)!r} were not made by `jaxurban maps`, so what they are of is not on record: make "
@@ -171,7 +171,7 @@ def left_out(maps: MetricMaps, city: City | None) -> str:
     if city is not None:
         counted = city.kinds
     elif maps.folder is not None:
-        settings = settings_of(maps.folder)
+        settings = stored_settings(maps.folder)
         if "obstacles" in settings or ROOF_KIND not in maps.ds:
             obstacles = Obstacles(**_with_kinds(settings)["obstacles"])
             counted = obstacles.under(maps.planning.preset)

@@ -112,7 +112,7 @@ def halo_cells(params: Lidar, resolution_m: float, oversample: int = 1) -> int:
       resolution_m: side of a map's cell.
       oversample: n, where rays go through a surface whose cells are n times smaller than the map's.
     """
-    reach = kernel.halo_cells(_num_steps(params, resolution_m / oversample), oversample)
+    reach = kernel.ray_halo_cells(_num_steps(params, resolution_m / oversample), oversample)
     return rounded_up(reach)
 
 
@@ -245,7 +245,7 @@ def _by_numba(
     surface = surface.of_returning()
     n = oversample
     steps = kernel.num_steps(surface.grid.resolution_m, params.range_m)
-    halo = kernel.halo_cells(steps, n)  # in cells of the map
+    halo = kernel.ray_halo_cells(steps, n)  # in cells of the map
 
     def phases(values: AnyArray | None) -> Any:
         """Return a raster with its halo as the kernel takes it: apart by place within a cell of the map."""
@@ -283,7 +283,7 @@ def _by_jax(
     resolution_m = surface.grid.resolution_m
     n = oversample
     halo = halo_cells(params, resolution_m * n, n)
-    reach = kernel.halo_cells(kernel.num_steps(resolution_m, params.range_m), n)
+    reach = kernel.ray_halo_cells(kernel.num_steps(resolution_m, params.range_m), n)
     starts = _starts(params.azimuths, heights_m.shape[1], n, halo)
 
     def of_part(cut: Cut) -> Array:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 
 from jaxurban.kernels.dop import Clocks, Geometry, geometry, unit_vectors
 from jaxurban.kernels.shadows import blocks, sweep
-from jaxurban.kernels.shadows.sweep import WORD_BITS, Line, Ring, digital_lines, stacked
+from jaxurban.kernels.shadows.sweep import WORD_BITS, DigitalLine, Ring, digital_lines, stacked
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import PER_CELL, AnyArray, Slabs, Surface
 
@@ -60,7 +60,7 @@ class SkyView(NamedTuple):
       num: number of true satellites; those from this one on are without effect and never seen.
     """
 
-    lines: Line
+    lines: DigitalLine
     satellites: Geometry
     num: Int[AnyArray, ""]
 
@@ -118,7 +118,7 @@ def visible_words(
     rows, cols = surface.window
     window = rows.start, rows.stop, cols.start, cols.stop
     height_m = _heights(surface.crop(surface.terrain_m), altitudes_m)
-    return sweep.visible_words(surface.top_m, height_m, sky.lines, sky.num, window=window)
+    return sweep.words_along_lines(surface.top_m, height_m, sky.lines, sky.num, window=window)
 
 
 def _heights(ground_m: AnyArray | None, altitudes_m: AnyArray) -> AnyArray:
@@ -237,7 +237,7 @@ def _hide_behind_slabs(
     slabs.hide_behind_slabs(
         words,
         receivers.altitudes_m,
-        slabs.Receivers(first_row, first_col, every * PER_CELL, ground_m),
+        slabs.SlabReceivers(first_row, first_col, every * PER_CELL, ground_m),
         (hanging.row, hanging.col),
         (base_m + hanging.floor_m, base_m + hanging.top_m),
         azimuth_rad,
@@ -343,7 +343,7 @@ def distinct_choices(
     return np.stack(choices), number.reshape(words.shape[1:])
 
 
-def ringed_lines(grid: Grid, azimuth_rad: np.ndarray, elevation_rad: np.ndarray) -> Line:
+def ringed_lines(grid: Grid, azimuth_rad: np.ndarray, elevation_rad: np.ndarray) -> DigitalLine:
     """Return the digital line toward each satellite over a grid grown by one cell on each side, stacked along ``S``.
 
     Args:

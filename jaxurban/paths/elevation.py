@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from jaxurban.io.city import City
-from jaxurban.io.read.sampling import values_at
+from jaxurban.io.read.sampling import raster_values
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.ground import elevation_at
 from jaxurban.world.raster import Raster
@@ -66,7 +66,7 @@ class Elevation:
             elevation_m[is_inside] = elevation_at(x_m, y_m, cells_m, grid.resolution_m)
         else:
             x_m, y_m = inside_m.T
-            elevation_m[is_inside] = values_at(self._terrain, x_m, y_m, grid.crs, "bilinear")
+            elevation_m[is_inside] = raster_values(self._terrain, x_m, y_m, grid.crs, "bilinear")
         return elevation_m
 
     def at_lonlat(self, lon: float, lat: float) -> float:

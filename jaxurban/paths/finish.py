@@ -22,7 +22,7 @@ from jaxurban.paths.places import End
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import apart_note, snap_note
 from jaxurban.planners.base import Path, Status
-from jaxurban.planners.simplify import simplify as simplify_path
+from jaxurban.planners.simplify import simplify_path
 
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap

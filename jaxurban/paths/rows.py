@@ -195,7 +195,7 @@ class InstanceRuns(NamedTuple):
         return self.instance["altitude_m"], self.instance["time"], self.instance["time_of_day"]
 
 
-def tasks_of(instances: pd.DataFrame, job: RouteJob, store: RowStore) -> list[InstanceRuns]:
+def runs_to_do(instances: pd.DataFrame, job: RouteJob, store: RowStore) -> list[InstanceRuns]:
     """Return the runs that a store does not hold yet, by instance; an instance without such runs is left out.
 
     Instances of one city follow each other, and among them instances on the same maps, so that maps are made once.
@@ -243,7 +243,7 @@ def run_rows(
       report: is called with how many rows are done, and how many of them have paths.
     """
     store = RowStore(file, job.key, has_parts=True)
-    tasks = tasks_of(instances, job, store)
+    tasks = runs_to_do(instances, job, store)
     num_left = sum(len(task.runs) for task in tasks)
     try:
         if workers == 1 or not tasks:
@@ -261,7 +261,7 @@ def run_rows(
 def solve_here(
     tasks: Iterable[InstanceRuns], sources: Mapping[Any, Source], job: RouteJob
 ) -> Iterator[list[dict[str, Any]]]:
-    """Yield the rows of each task, made in this process; tasks of one city follow each other (`tasks_of`)."""
+    """Yield the rows of each task, made in this process; tasks of one city follow each other (`runs_to_do`)."""
     for city, city_tasks in groupby(tasks, lambda task: task.city):
         yield from map(_solver(sources[city], job), city_tasks)
 
@@ -277,7 +277,7 @@ def solve_on(
 
     Args:
       client: of the cluster.
-      tasks: from `tasks_of`.
+      tasks: from `runs_to_do`.
       sources: folders of the maps of each city, by its name or None.
       job: what is done.
     """

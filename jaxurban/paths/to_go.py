@@ -59,4 +59,4 @@ def cost_to_go(
     )
     _, end = weighed_maps.ends(place, place, snap=snap)
     problem = weighed_maps.problem.between(end.cell, end.cell)
-    return costs_by_tiles(problem) if backend == "jax" else astar.cost_to_go(problem)
+    return costs_by_tiles(problem) if backend == "jax" else astar.exact_cost_to_go(problem)

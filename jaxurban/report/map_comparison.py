@@ -15,7 +15,7 @@ from jaxurban.io.stored import short_number
 from jaxurban.maps.provenance import NOT_SET
 from jaxurban.report.figures.frame import (
     OBSTACLE_COLOUR,
-    MapLayer,
+    DrawnMap,
     MapPanel,
     draw_maps,
     flat_layer,
@@ -26,7 +26,7 @@ from jaxurban.report.figures.frame import (
     symbol_of,
     time_said,
 )
-from jaxurban.report.figures.metrics import percent
+from jaxurban.report.figures.metrics import precise_percent
 from jaxurban.report.figures.style import difference_colours
 from jaxurban.report.write import (
     Figures,
@@ -36,7 +36,7 @@ from jaxurban.report.write import (
     code,
     fill,
     framed,
-    listed,
+    joined_with_and,
     paragraphs,
     plain,
     study_outputs,
@@ -101,12 +101,12 @@ def plot_difference(result: MapComparison, layer: str, *, time: str | None = Non
             is_free = result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre")
             is_grey = ~is_free & (values == 0)
         layers = [
-            MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours),
+            DrawnMap(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours),
             flat_layer(is_grey & has_data, OBSTACLE_COLOUR),
         ]
         text = "unchanged"
         if row.share_changed:
-            text = f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed"
+            text = f"mean {row.mean:+.3g}, {precise_percent(row.share_changed)} changed"
         panels.append(MapPanel(joined(where, text), layers))
 
     # What the picture says.
@@ -229,7 +229,7 @@ def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
         extent=f"Compared are {facts['grid']} ({facts['CRS']}) at {facts['altitudes']}.",
         settings=_settings(result),
         values=values,
-        unchanged=f"The same in both: {listed(same)}." if same else "",
+        unchanged=f"The same in both: {joined_with_and(same)}." if same else "",
         left_out=paragraphs("Not compared:", left_out) if left_out else "",
         pictures=paragraphs(*pictures) or "None: a layer is drawn where it differs.",
     )

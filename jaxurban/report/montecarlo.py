@@ -7,7 +7,7 @@ import pandas as pd
 from jaxurban.paths.rows import CRASHED
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
-from jaxurban.report.write import Written, fill, listed, study_outputs
+from jaxurban.report.write import Written, fill, joined_with_and, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.study import BenchmarkResult
@@ -80,14 +80,14 @@ def report_markdown(
         [result.maps.attribution],
         num_instances=table.instance.nunique(),
         num_runs=len(table),
-        planners=listed(sorted(table.planner.unique())),
+        planners=joined_with_and(sorted(table.planner.unique())),
         grid=result.maps.grid,
         budget=budget,
         settings=settings,
         maps=result.maps,
         weights=weights_said(result.instances),
         constraints=str(settings.constraints) or "none",
-        joined=listed(f"{share:.1%} at {z:g} m" for z, share in share_joined.items()),
+        joined=joined_with_and(f"{share:.1%} at {z:g} m" for z, share in share_joined.items()),
         num_crashed=(table.status == CRASHED).sum(),
         num_odd=table.status.isin(["invalid", "bad-input"]).sum(),
         fewest=FEWEST_GROUPS,

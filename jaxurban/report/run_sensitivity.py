@@ -24,7 +24,7 @@ from jaxurban.studies.weights.cities import (
     routes_key,
     routes_of_cities,
 )
-from jaxurban.studies.weights.routes import SensitivityStudySettings, row_columns
+from jaxurban.studies.weights.routes import SensitivityStudySettings, typed_columns
 
 ROUTES_FOLDER = "routes"
 
@@ -123,7 +123,7 @@ def sensitivity_study(
             job,
             instances,
             cities.sources,
-            row_columns,
+            typed_columns,
             workers=workers,
             report=report,
         )

@@ -10,7 +10,7 @@ from jaxurban.paths.constraints import describe_constraints
 from jaxurban.planners.cost import CostModel
 from jaxurban.report.figures.frame import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
-from jaxurban.report.write import Written, fill, listed, study_outputs
+from jaxurban.report.write import Written, fill, joined_with_and, study_outputs
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, NOISE
 from jaxurban.studies.weights.study import Sensitivity
@@ -64,7 +64,7 @@ def sensitivity_markdown(result: Sensitivity, buildings: pd.DataFrame | None = N
         limits=describe_constraints(settings["limits"]) or "none",
         cost_model=CostModel.from_settings(settings),
         note=" ".join(route.cautions),
-        objectives=listed(result.front.objectives),
+        objectives=joined_with_and(result.front.objectives),
         ALIKE=ALIKE,
         MORE=MORE - 1,
         CLEAR=CLEAR,

@@ -11,7 +11,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.public import FactsRepr
-from jaxurban.report.figures.sensitivity_study import study_figures
+from jaxurban.report.figures.sensitivity_study import sensitivity_study_figures
 from jaxurban.report.write import (
     REPORT_FILE,
     Markdown,
@@ -22,7 +22,7 @@ from jaxurban.report.write import (
     save,
     study_outputs,
 )
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, columns_of
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, interval_columns
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.queries import outcome_label, population_norms
 from jaxurban.studies.weights import summary
@@ -124,7 +124,7 @@ def write_sensitivity_study(result: SensitivityStudy) -> list[Path]:
     """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into its folder and return the files."""
     figures = {}
     if "weights" in result.tables:
-        figures = study_figures(result.tables, result.settings.wrong)
+        figures = sensitivity_study_figures(result.tables, result.settings.wrong)
     return save(result.folder, study_outputs(study_markdown(result), result.tables, figures))
 
 
@@ -191,7 +191,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     by_regret = by_regret.rename(columns={"value": "of", "weight_name": "weight"})
     is_whole = by_regret.cut.isin([ALL, OVER_CITIES, "city"])
     is_part = by_regret.cut.isin(CUTS) & ~is_whole & (by_regret.weight != "distance")
-    statistics = columns_of("regret", "changes", "nearest", "share")
+    statistics = interval_columns("regret", "changes", "nearest", "share")
     columns = ["of", "weight", "cities", "routes", *statistics]
     result = {
         "by_all": by_regret.loc[is_whole, columns],
@@ -203,7 +203,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         # upper end of the interval; the verdict also says how many samples would settle it, where that is known.
         sobol = tables["sobol_summary"]
         total = sobol[sobol.kind == "total"].copy()
-        share = columns_of("share")  # with the ends of its interval
+        share = interval_columns("share")  # with the ends of its interval
         total["at most"] = total.share_high.where(total.verdict == UNCLEAR).clip(lower=0)
         total[share] = total[share].where(total.verdict == CLEAR)
         remedy = total.samples_needed.map(": about {:.0f} samples should do".format)
@@ -211,11 +211,11 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         total["outcome"] = total.outcome.map(outcome_label)
         result["sobol"] = total[["outcome", "weight_name", *share, "at most", "verdict"]]
     if "remade_summary" in tables:
-        statistics = columns_of("is_other", "nominal_regret", "nominal_is_closed")
+        statistics = interval_columns("is_other", "nominal_regret", "nominal_is_closed")
         result["perturbed"] = tables["remade_summary"][["of", "routes", *statistics]]
     if "parameters_summary" in tables:
         changed = tables["parameters_summary"]
-        statistics = columns_of("is_other", "overlap", "nominal_regret")
+        statistics = interval_columns("is_other", "overlap", "nominal_regret")
         columns = ["parameter", "factor", "of", "routes", *statistics]
         result["parameters"] = changed.loc[changed.cut.isin([ALL, "city"]), columns]
     return result

@@ -33,7 +33,7 @@ from jaxurban.report.write import (
 )
 from jaxurban.studies.demonstrations import (
     Demonstration,
-    compared_routes,
+    compared_demonstrations,
     optimal_demonstrations,
     read_demonstrations,
 )
@@ -323,7 +323,7 @@ def outputs_of(
     first = next(iter(pictures.values()))
     vector = fit.weights.vector(fit.names)
     fields = dict[str, Any](texts)
-    routes = compared_routes(demonstrations, planned)
+    routes = compared_demonstrations(demonstrations, planned)
     tables = {}
     outputs: Outputs = {"learning_curve": fit.curve}
 

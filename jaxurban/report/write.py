@@ -232,7 +232,7 @@ def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] = 
     return f"{text} ({text_of(low)} to {text_of(row[f'{name}_high'])})"
 
 
-def listed(items: Iterable[str]) -> str:
+def joined_with_and(items: Iterable[str]) -> str:
     """Return ``a``, ``a and b`` or ``a, b and c``."""
     *most, last = items
     return f"{', '.join(most)} and {last}" if most else last

@@ -18,7 +18,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.read.rasterise import UNKNOWN_GROUND_M, highest_top_m
-from jaxurban.io.read.sampling import values_at
+from jaxurban.io.read.sampling import raster_values
 from jaxurban.progress import LOG
 from jaxurban.satellites.rule import FARTHEST_MARGIN_M, HIDDEN, LOWEST_HORIZON_DEG, states_of
 from jaxurban.settings import SLABS, Hanging
@@ -66,7 +66,7 @@ class Clearances(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Outlines:
+class BuildingTrees:
     """The buildings of a city, in classes of height with a tree each: low ones are looked for near a place alone.
 
     Attributes:
@@ -185,7 +185,7 @@ class Outlines:
         return self.ground_at(*rays.places_m(ray, along_m))
 
 
-class Samples(NamedTuple):
+class RaySamples(NamedTuple):
     """What lies under rays, one distance after the other.
 
     Attributes:
@@ -214,7 +214,7 @@ class Hiding:
     known: shapely.Geometry
 
     @cached_property
-    def outlines(self) -> Outlines | None:
+    def outlines(self) -> BuildingTrees | None:
         """The outlines of all that hides satellites and has a height, for rays; None where a raster holds the roofs.
 
         Over terrain they stand on the ground, whose greatest height they are given too.
@@ -225,15 +225,15 @@ class Hiding:
             return None
         standing = hiding.take(hiding.height_m > 0)
         if city.terrain is None:
-            return Outlines(standing, city.hanging)
+            return BuildingTrees(standing, city.hanging)
         highest_m = float(np.nanmax(city.terrain.values))
-        return Outlines(standing, city.hanging, self.known_ground_at, highest_m)
+        return BuildingTrees(standing, city.hanging, self.known_ground_at, highest_m)
 
     def ground_at(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         """Return the ground's elevation at places in the city's CRS: NaN where it is not known, 0 without terrain."""
         if self.city.terrain is None:
             return np.zeros(np.shape(x_m))
-        return values_at(self.city.terrain, x_m, y_m, self.city.crs, "bilinear")
+        return raster_values(self.city.terrain, x_m, y_m, self.city.crs, "bilinear")
 
     def known_ground_at(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         """Return the elevation of the ground, far down where it is not known: what stands there hides nothing."""
@@ -247,7 +247,7 @@ class Hiding:
         """
         return highest_top_m(self.city) - altitude_m
 
-    def samples(self, rays: Rays, rise_m: np.ndarray) -> Iterator[Samples]:
+    def samples(self, rays: Rays, rise_m: np.ndarray) -> Iterator[RaySamples]:
         """Yield what terrain and roofs or plants of a raster are under rays, at one distance after the other.
 
         Yields nothing where the city has neither.
@@ -268,11 +268,11 @@ class Hiding:
             places = rays.places_m(ray, along_m)
             roof_m = np.zeros(len(ray))
             for roofs in rasters:
-                above_m = values_at(roofs, *places, self.city.crs, "nearest")
+                above_m = raster_values(roofs, *places, self.city.crs, "nearest")
                 if roofs is not self.city.roofs:  # where plants have no data, none grow
                     above_m = np.nan_to_num(above_m)
                 roof_m = np.maximum(roof_m, above_m)
-            yield Samples(ray, along_m, self.ground_at(*places), roof_m)
+            yield RaySamples(ray, along_m, self.ground_at(*places), roof_m)
 
     def behind(self, rays: Rays, altitude_m: np.ndarray) -> pd.DataFrame:
         """Return a row for each ray: its state by the rule, the margin, and the roof that hides it.

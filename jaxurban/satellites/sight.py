@@ -18,7 +18,7 @@ from jaxurban.knowledge import Caution, GuessKind, caution_of_guesses, guessed
 from jaxurban.maps.build import region_of, view_sky
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.params import MapParams
-from jaxurban.maps.run import gps_of, grid_of, load_city
+from jaxurban.maps.run import gps_of, load_city, scenario_grid
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.sources import CityLike, folder_of, scenario_of
 from jaxurban.maps.task import MapTask
@@ -101,7 +101,7 @@ class Sight:
 
         scenario = scenario_of(folder_of(where), sources)
         resolution_m = where.grid.resolution_m if isinstance(where, MetricMaps) else None
-        return cls.of_scenario(scenario, grid_of(scenario, resolution_m), gps)
+        return cls.of_scenario(scenario, scenario_grid(scenario, resolution_m), gps)
 
     @classmethod
     def of_scenario(cls, scenario: Scenario, region: Grid, gps: Gps | None = None) -> "Sight":

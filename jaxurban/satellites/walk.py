@@ -22,7 +22,7 @@ LEG_CELLS = 4_000_000  # of the box around a leg of the track
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class LegSurface:
     """Roofs and terrain around a leg of a track. What hangs is taken to reach the ground.
 
     Attributes:
@@ -42,7 +42,7 @@ class Ground:
     @classmethod
     def around(
         cls, city: City, box: Grid, around_m: float, reach_m: float, antenna_m: float
-    ) -> "Ground":
+    ) -> "LegSurface":
         """Return the ground of places in and around a box, and of what can hide satellites from there.
 
         Args:

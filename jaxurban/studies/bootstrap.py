@@ -35,10 +35,10 @@ class Interval(NamedTuple):
 
 def named(name: str, interval: Interval) -> dict[str, float]:
     """Return an interval as columns."""
-    return dict(zip(columns_of(name), interval, strict=True))
+    return dict(zip(interval_columns(name), interval, strict=True))
 
 
-def columns_of(*names: str) -> list[str]:
+def interval_columns(*names: str) -> list[str]:
     """Return the columns of statistics, each followed by the ends of its interval (`named`)."""
     return [f"{name}{end}" for name in names for end in ("", "_low", "_high")]
 
@@ -171,12 +171,13 @@ def interval_of(value: float, drawn: np.ndarray, num_groups: int) -> Interval:
     known = drawn[np.isfinite(drawn)]
     ends = [np.nan, np.nan]
     if num_groups >= FEWEST_GROUPS and len(known) >= LEVEL * len(drawn):
-        tail = special.ndtr(-reach_of(num_groups))  # share of normal values below the lower end
+        # Share of normal values below the lower end.
+        tail = special.ndtr(-interval_reach(num_groups))
         ends = np.quantile(known, [tail, 1 - tail]).tolist()
     return Interval(float(value), *ends)
 
 
-def reach_of(num_groups: int) -> float:
+def interval_reach(num_groups: int) -> float:
     """Return how many standard errors of its draws an interval reaches to each side."""
     student = special.stdtrit(num_groups - 1, (1 + LEVEL) / 2)
     return float(student * np.sqrt(num_groups / (num_groups - 1)))

@@ -156,7 +156,7 @@ def _judged(cost_map: CostMap, path: Path, best: Path) -> dict[str, Any]:
     }
 
 
-def regrets(rows: pd.DataFrame) -> pd.DataFrame:
+def route_regrets(rows: pd.DataFrame) -> pd.DataFrame:
     """Return how many routes the other map closes, and the regret of the others.
 
     A row for each altitude and for each map that routes were planned on. Routes that were not found do not count. The

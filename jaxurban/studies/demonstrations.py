@@ -530,7 +530,7 @@ def _window(first: np.ndarray, last: np.ndarray) -> tuple[slice, ...]:
     return tuple(map(slice, first, last + 1))
 
 
-def compared_routes(
+def compared_demonstrations(
     demonstrations: Sequence[Demonstration], planned: Sequence[Demonstration]
 ) -> pd.DataFrame:
     """Return a row per demonstration: where it lies, beside a planned route between the same ends.

@@ -21,7 +21,7 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.settings import iso_utc
-from jaxurban.studies.compared_routes import compared_routes, regrets
+from jaxurban.studies.compared_routes import compared_routes, route_regrets
 from jaxurban.world.grid import Grid
 
 # The layer of cells that no planner enters, beside ``obstacle``, the metrics' rule.
@@ -79,7 +79,7 @@ class MapComparison(Result):
         ``closed_m`` their median length in closed cells. Of the other routes ``regret`` is the median (0.05: 5 % above
         the cheapest there), with the 90 % quantile and the worst. ``closed`` and ``regret`` have 95 % intervals.
         """
-        return regrets(self.routes) if len(self.routes) else pd.DataFrame()
+        return route_regrets(self.routes) if len(self.routes) else pd.DataFrame()
 
     @property
     def times(self) -> dict[str, str]:

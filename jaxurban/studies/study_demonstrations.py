@@ -41,7 +41,7 @@ from jaxurban.studies.montecarlo.sampling import (
     read_instances,
 )
 from jaxurban.studies.montecarlo.study import BenchmarkResult
-from jaxurban.studies.montecarlo.trial import WEIGHTED, Benchmark, draws_samples, located
+from jaxurban.studies.montecarlo.trial import WEIGHTED, Benchmark, draws_samples, ends_and_weights
 
 EXACT = "astar-plus"  # plans the routes of tables
 ALIKE = 1e-9  # relative: weights of rows, scaled to sum 1, that are one W
@@ -373,7 +373,7 @@ def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.nda
         raise InputError(f"{planner} found no path")
 
     # The search of the study again: the same seed and as many samples, if the planner draws any.
-    start, goal, weights = located(cost_map, row)
+    start, goal, weights = ends_and_weights(cost_map, row)
     options = {}
     if draws_samples(planner):
         options["max_samples"] = int(row["num_samples"])

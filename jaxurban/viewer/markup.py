@@ -106,7 +106,9 @@ def rows(cells: Iterable[tuple[str, str]]) -> str:
     )
 
 
-def costs(parts: Mapping[str, float], labels: Mapping[str, str], colours: Mapping[str, str]) -> str:
+def cost_rows(
+    parts: Mapping[str, float], labels: Mapping[str, str], colours: Mapping[str, str]
+) -> str:
     """Return rows of a table: the part of a route's cost that each weight adds; parts, labels, colours are by name."""
     return "".join(
         f"<tr><td>{dot(colours[name])}{escape(labels[name])}</td><td>{number(value)}</td></tr>"

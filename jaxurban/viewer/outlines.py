@@ -15,7 +15,7 @@ STEP_M = 0.5  # of corners
 MOST_CORNERS = 400_000  # that are sent, of the largest buildings first
 
 
-def outlines_of(maps: MetricMaps, standing: Footprints | None) -> bytes:
+def packed_outlines(maps: MetricMaps, standing: Footprints | None) -> bytes:
     """Return the outlines of what stands as `packed` numbers, of the largest ones where all have over `MOST_CORNERS`.
 
     The number of rings, R, comes first. Then come four rows of R numbers: how many corners each ring has, its height

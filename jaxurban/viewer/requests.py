@@ -91,7 +91,7 @@ class Cell(Request):
     view: View | None = None
 
 
-class Sky(Request):
+class SkyRequest(Request):
     """The sky over a place, at an altitude and time."""
 
     at: MapIndex

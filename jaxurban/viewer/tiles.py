@@ -34,7 +34,7 @@ def middles(size: int, stride: int) -> np.ndarray:
     return np.minimum(np.arange(0, size, stride) + stride // 2, size - 1)
 
 
-def tile_bytes(values: np.ndarray, stride: int, row: int, col: int) -> bytes:
+def packed_tile(values: np.ndarray, stride: int, row: int, col: int) -> bytes:
     """Return a tile of a layer as `packed` numbers: up to `TILE` rows, from the south, of as many cells.
 
     Args:

@@ -51,7 +51,7 @@ from jaxurban.viewer.layers import (
     legend_of,
 )
 from jaxurban.viewer.markup import number, options, sentences
-from jaxurban.viewer.outlines import STEP_M, outlines_of
+from jaxurban.viewer.outlines import STEP_M, packed_outlines
 from jaxurban.viewer.plans import Plans
 from jaxurban.viewer.requests import (
     Cell,
@@ -59,14 +59,14 @@ from jaxurban.viewer.requests import (
     Plan,
     Request,
     Save,
-    Sky,
+    SkyRequest,
     Subtrahend,
     Tile,
     View,
     parse,
 )
 from jaxurban.viewer.sky import sky_html
-from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
+from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, packed_tile, strides_of
 from jaxurban.world.grid import crs_said
 
 JSON, BYTES = "application/json", "application/octet-stream"
@@ -159,7 +159,7 @@ class Viewer:
             "legend": (View, self.legend),
             "tile": (Tile, self.tile),
             "values": (Cell, self.values_at),
-            "sky": (Sky, self.sky),
+            "sky": (SkyRequest, self.sky),
             "plan": (Plan, self.plan),
             "why": (Plan, self.why),
             "report": (Plan, self.report),
@@ -250,13 +250,13 @@ class Viewer:
         return base_of(self.maps)
 
     def outlines(self, _: Request) -> bytes:
-        """Return the outlines of all that stands (`outlines_of`): exact ones where the city can be read again."""
+        """Return the outlines of all that stands (`packed_outlines`): exact ones where the city can be read again."""
         try:
             standing = self._sight.city.standing  # reads the city
         except (JaxurbanError, OSError) as error:
             LOG.info(f"buildings are outlined by the cells of the maps: {error}")
             standing = None
-        return outlines_of(self.maps, standing)
+        return packed_outlines(self.maps, standing)
 
     def _texts(self, north_deg: float) -> dict[str, str]:
         """Return the texts and lists of the page as HTML, by the names of their places.
@@ -377,7 +377,7 @@ class Viewer:
         if minus is None:
             return values
         subtracted, _ = self._layer(minus)
-        if unit_of(subtracted) != unit_of(self.layers[view.layer]):
+        if _shown_unit(subtracted) != _shown_unit(self.layers[view.layer]):
             raise InputError(
                 f"{view.layer} and {minus.layer} have different units, so they have no difference: choose "
                 "two layers of one unit"
@@ -450,7 +450,7 @@ class Viewer:
 
     def _difference_label(self, view: View, minus: Subtrahend) -> str:
         """Return the label of a difference, which names both maps and the unit of their values."""
-        unit = unit_of(self.layers[view.layer])
+        unit = _shown_unit(self.layers[view.layer])
         # The other maps are number 1.
         subtracted = self._said(minus, self.names[minus.is_other])
         label = f"{self._said(view, self.names[0])} minus {subtracted}"
@@ -477,12 +477,12 @@ class Viewer:
         return " ".join(words)
 
     def tile(self, tile: Tile) -> bytes:
-        """Return a tile of the values of a view (`tile_bytes`).
+        """Return a tile of the values of a view (`packed_tile`).
 
         Raises:
           InputError: as for `values`, or no such tile.
         """
-        return tile_bytes(self.values(tile), tile.stride, tile.row, tile.col)
+        return packed_tile(self.values(tile), tile.stride, tile.row, tile.col)
 
     def values_at(self, cell: Cell) -> list[dict[str, Any]]:
         """Return what the list under the pointer shows of a cell, in its order.
@@ -504,7 +504,7 @@ class Viewer:
         if cell.view is not None and cell.view.minus is not None:
             layer, _ = self._layer(cell.view)
             value = self.values(cell.view)[cell.row, cell.col]
-            words = {"told": "Difference", "classes": [], "unit": unit_of(layer)}
+            words = {"told": "Difference", "classes": [], "unit": _shown_unit(layer)}
             rows.append({"name": "difference", "value": number_or_none(value), **words})
 
         # The layers; those that are hidden inside obstacles have no value there.
@@ -560,7 +560,7 @@ class Viewer:
         ):  # the page shows what the maps guess
             return Sight.of(self.maps, None, self.sources)
 
-    def sky(self, query: Sky) -> str:
+    def sky(self, query: SkyRequest) -> str:
         """Return the sky over a place as HTML (`sky_html`).
 
         Raises:
@@ -591,7 +591,7 @@ class Viewer:
             "xy_m": planned.xy_m,
             "cost": number_or_none(planned.cost),
             "button": markup.route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
-            "html": markup.costs(planned.cost_by_layer, self._labels, self._colours),
+            "html": markup.cost_rows(planned.cost_by_layer, self._labels, self._colours),
             "message": planned.message,
             "command": self.plans.command(query, at),
         }
@@ -705,7 +705,7 @@ def status_said(planned: PlannedPath) -> str:
     return f"{text}, {proof}"
 
 
-def unit_of(layer: DrawnLayer) -> str:
+def _shown_unit(layer: DrawnLayer) -> str:
     """Return the unit of a layer's values as people read it; "" for values without a unit."""
     return {"1": "", "km-2": "per km²"}.get(layer.variable.unit, layer.variable.unit)
 
@@ -721,7 +721,7 @@ def _words(layer: DrawnLayer) -> dict[str, Any]:
     if layer.group == "Costs" and layer.name != H_NORM:
         label = ""
     classes = [name for name, _ in variable.classes]
-    return {"told": label, "classes": classes, "unit": unit_of(layer)}
+    return {"told": label, "classes": classes, "unit": _shown_unit(layer)}
 
 
 def as_json(value: Any) -> bytes:

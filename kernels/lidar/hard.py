@@ -70,7 +70,7 @@ def ray_offsets(num_azimuths: int, steps: int) -> np.ndarray:
     return (np.sign(point) * np.floor(np.abs(point) + 0.5 + 1e-9)).astype(np.int32)
 
 
-def halo_cells(steps: int, per_cell: int) -> int:
+def ray_halo_cells(steps: int, per_cell: int) -> int:
     """Return how many map cells beyond a receiver's own its rays reach, for N steps of a subcell."""
     return (steps - 1 + per_cell // 2) // per_cell
 
@@ -94,9 +94,9 @@ def phase_starts(
         cell.
       per_cell: n, subcells along a side of a map cell.
       halo: map cells that the phases reach beyond the receivers; rows and columns count from the halo's corner. Left
-        out, `halo_cells`.
+        out, `ray_halo_cells`.
     """
-    halo = halo_cells(offsets.shape[1], per_cell) if halo is None else halo
+    halo = ray_halo_cells(offsets.shape[1], per_cell) if halo is None else halo
     cell, phase = np.divmod(offsets + per_cell // 2, per_cell)  # both [K, N, 2]: rows, columns
     starts = [phase[..., 0] * per_cell + phase[..., 1], cell[..., 0] + halo, cell[..., 1] + halo]
     return np.stack(starts, axis=-1).astype(np.int32)
@@ -171,7 +171,7 @@ def count_returns(
       roof_m: `phases` of roof heights with their halo, 0 without a building.
       thresholds_m: ``[A, N]`` from `flat_thresholds`, rounded up to the type of ``roof_m``.
       starts: ``[K, N, 3]`` from `phase_starts`.
-      halo: H, from `halo_cells`.
+      halo: H, from `ray_halo_cells`.
 
     Cells inside buildings get a number too (K, mostly). The form for a CPU takes no time for altitudes that no roof
     reaches. The gradient is zero.

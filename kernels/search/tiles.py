@@ -22,7 +22,7 @@ Edges = dict[
 RIM = {-1: slice(1), 0: slice(None), 1: slice(-1, None)}  # cells of a tile next to a neighbour
 
 
-class Grid(NamedTuple):
+class TileGrid(NamedTuple):
     """A map of ``I x J`` tiles.
 
     A step from P to Q costs ``base + from_share * cost[P] + to_share * cost[Q]``.
@@ -81,8 +81,8 @@ def begin(start: Array, goal: Array, bound: Array) -> Search:
 
 
 @partial(kept_jit, donate_argnums=0, static_argnames=("num_together",))
-def advance(
-    search: Search, grid: Grid, band: float, max_rounds: int, *, num_together: int
+def advance_tiles(
+    search: Search, grid: TileGrid, band: float, max_rounds: int, *, num_together: int
 ) -> tuple[Search, Array]:
     """Return the search after up to ``max_rounds`` rounds, and ``[Q]`` the lowest open f of each query.
 
@@ -116,7 +116,7 @@ def _open_f(search: Search) -> Array:
     return jnp.where(f <= SAME_COST * of_start[:, None, None], f, jnp.inf)
 
 
-def _round(search: Search, grid: Grid, band: float, num_together: int) -> Search:
+def _round(search: Search, grid: TileGrid, band: float, num_together: int) -> Search:
     """Return the search after one visit of the chosen tiles, which are computed side by side: ``A`` is their number.
 
     Places without a tile have a query out of bounds: what is read there is of no meaning, and writing there is dropped.

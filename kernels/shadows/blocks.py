@@ -24,7 +24,7 @@ from jaxurban.kernels.shadows.sweep import (
     NORTH,
     SOUTH,
     WORD_BITS,
-    Line,
+    DigitalLine,
     Ring,
 )
 from jaxurban.programs import kept_jit
@@ -66,7 +66,7 @@ def mark_visible(
     words: UInt[np.ndarray, "W A y x"],
     top_m: Float[np.ndarray, "Y X"],
     receivers: Receivers,
-    lines: Line,
+    lines: DigitalLine,
     rings: Ring | None = None,
     *,
     entry_steps: float = ENTRY_STEPS,
@@ -92,7 +92,7 @@ def mark_visible(
 
 
 def hand_on(
-    top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring
+    top_m: Float[np.ndarray, "Y X"], lines: DigitalLine, rings: Ring
 ) -> tuple[Float[np.ndarray, "S X"], Float[np.ndarray, "S Y"]]:
     """Return ``max(raised, sweep)`` in a grid's last row and last column, those farthest from each satellite.
 
@@ -127,7 +127,7 @@ class _Tops(NamedTuple):
         return Roofs(top_m, turned_m, self.top_m.dtype.type(self.entry_steps))
 
 
-def _bundles(lines: Line) -> Iterator[np.ndarray]:
+def _bundles(lines: DigitalLine) -> Iterator[np.ndarray]:
     """Yield ``[n]`` numbers of satellites that are cast together: at most `AT_ONCE`, of one quadrant and one word."""
     toward = np.asarray(lines.toward)  # [S, 2] names each satellite's quadrant
     of_word = np.arange(len(toward)) // WORD_BITS
@@ -144,7 +144,7 @@ def _side(shape: tuple[int, int], every: int) -> int:
 
 def _walk(
     tops: _Tops,
-    lines: Line,
+    lines: DigitalLine,
     rings: Ring | None,
     which: np.ndarray,
     receivers: Receivers,
@@ -243,13 +243,13 @@ def _handed(start: int, side: int, size: int, ahead: int) -> tuple[int, slice]:
     return (inside.start if ahead > 0 else inside.stop - 1) - start, inside
 
 
-def _filled(lines: Line, which: np.ndarray) -> Line:
+def _filled(lines: DigitalLine, which: np.ndarray) -> DigitalLine:
     """Return the lines of some satellites, filled up with the first of them."""
     chosen = np.resize(which, AT_ONCE)
-    return Line(*(np.asarray(values)[chosen] for values in lines))
+    return DigitalLine(*(np.asarray(values)[chosen] for values in lines))
 
 
-def _along(lines: Line, row: int, col: int, side: int) -> Line:
+def _along(lines: DigitalLine, row: int, col: int, side: int) -> DigitalLine:
     """Return the parts of lines over a whole grid, grown by one cell, that a block with its ring meets."""
     is_rows = np.isin(lines.heading, (NORTH, SOUTH))
     by_row, by_col = (
@@ -338,7 +338,7 @@ class Block(NamedTuple):
 
     roofs: Roofs
     height_m: Float[Array | np.ndarray, "A ..."]
-    lines: Line
+    lines: DigitalLine
     rings: Ring
     bits: UInt[Array | np.ndarray, " S"]
     num: Int[Array | np.ndarray, ""]
@@ -364,7 +364,7 @@ def cast(
     """
     side = len(block.roofs.top_m)
     dtype = block.roofs.top_m.dtype
-    # By `Line.heading`: NORTH, SOUTH, EAST, WEST.
+    # By `DigitalLine.heading`: NORTH, SOUTH, EAST, WEST.
     headings = [
         partial(form, block, every=every, toward_last=toward_last)
         for form in (_cast_along_rows, _cast_along_columns)
@@ -385,7 +385,7 @@ def cast(
 
 
 def _cast_along_rows(
-    block: Block, line: Line, ring: Ring, *, every: int, toward_last: bool
+    block: Block, line: DigitalLine, ring: Ring, *, every: int, toward_last: bool
 ) -> tuple[Array, Array, Array]:
     """Return the shadow of one satellite where receivers stand, and the row and the column that are handed on.
 
@@ -431,7 +431,7 @@ def _cast_along_rows(
 
 
 def _cast_along_columns(
-    block: Block, line: Line, ring: Ring, *, every: int, toward_last: bool
+    block: Block, line: DigitalLine, ring: Ring, *, every: int, toward_last: bool
 ) -> tuple[Array, Array, Array]:
     """Return what `_cast_along_rows` does, for a source beyond the last column (the first, if not ``toward_last``).
 

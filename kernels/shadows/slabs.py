@@ -23,7 +23,7 @@ HALF_ROW = 0.5  # from a cell's middle to where a ray enters and leaves it, in r
 LEAST_DROP_M = 1e-9  # a ray along the horizon is followed to the border of the map
 
 
-class Receivers(NamedTuple):
+class SlabReceivers(NamedTuple):
     """Where the receivers of a map stand on the slabs' grid. ``y, x`` receivers.
 
     Attributes:
@@ -41,7 +41,7 @@ class Receivers(NamedTuple):
 def hide_behind_slabs(
     words: UInt[np.ndarray, "W A y x"],
     altitudes_m: Float[np.ndarray, " A"],
-    receivers: Receivers,
+    receivers: SlabReceivers,
     cells: tuple[np.ndarray, np.ndarray],
     heights_m: tuple[np.ndarray, np.ndarray],
     azimuth_rad: np.ndarray,
@@ -121,7 +121,7 @@ def _cast(words, kept, altitudes_m, receivers, range_m, slabs, line):
       words: ``[A, y, x]`` uint32 words that hold the satellite's bit; altered.
       kept: uint32 in which every other bit is set.
       altitudes_m: ``[A]`` heights of the receivers above the ground.
-      receivers: `Receivers`, where they stand.
+      receivers: `SlabReceivers`, where they stand.
       range_m: lowest and highest ground of the receivers.
       slabs: global number of each slab's cell along and across, its floor and its top in metres, ``[H]`` each.
       line: `_Line` toward the satellite.

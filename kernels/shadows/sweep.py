@@ -40,7 +40,7 @@ Shape = tuple[int, int]  # rows and columns of a grid
 Window = tuple[int, int, int, int]  # first and end row, first and end column
 
 
-class Line(NamedTuple):
+class DigitalLine(NamedTuple):
     """The digital line of one direction over one grid.
 
     Attributes:
@@ -78,7 +78,7 @@ def digital_line(
     first_row: int,
     first_col: int,
     shape: Shape,
-) -> Line:
+) -> DigitalLine:
     """Return the digital line toward a source, computed in float64 on the host.
 
     The line's phase comes from the global row (column) number, so it runs through the same cells
@@ -112,7 +112,7 @@ def digital_line(
     shifts[: len(index)] = offset[1] - offset[0]
     drop_m = resolution_m / abs(along) * math.tan(elevation_rad)
     toward = [1 if north >= 0 else -1, 1 if east >= 0 else -1]
-    return Line(
+    return DigitalLine(
         shifts, np.asarray(drop_m), np.asarray(heading, np.int32), np.asarray(toward, np.int32)
     )
 
@@ -124,22 +124,22 @@ def digital_lines(
     first_row: int,
     first_col: int,
     shape: Shape,
-) -> list[Line]:
+) -> list[DigitalLine]:
     """Return the `digital_line` of every direction, ``[S]`` azimuths and elevations; other arguments as there."""
     angles = zip(np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float), strict=True)
     return [digital_line(*pair, resolution_m, first_row, first_col, shape) for pair in angles]
 
 
-def stacked(lines: Sequence[Line]) -> Line:
-    """Return lines over one grid as one `Line`, fields stacked along ``S``; no lines give fields of length 0."""
+def stacked(lines: Sequence[DigitalLine]) -> DigitalLine:
+    """Return lines over one grid as one `DigitalLine`, fields stacked along ``S``; no lines give fields of length 0."""
     if not lines:
-        return Line(
+        return DigitalLine(
             np.zeros((0, 0), np.int32),
             np.zeros(0),
             np.zeros(0, np.int32),
             np.zeros((0, 2), np.int32),
         )
-    return Line(*(np.stack(values) for values in zip(*lines, strict=True)))
+    return DigitalLine(*(np.stack(values) for values in zip(*lines, strict=True)))
 
 
 def _sweep_rows(raised_m: Array, shifts: Array, drop_m: Array, toward_last: bool) -> Array:
@@ -147,7 +147,7 @@ def _sweep_rows(raised_m: Array, shifts: Array, drop_m: Array, toward_last: bool
 
     Args:
       raised_m: ``[Y, X]`` tops, raised by what the line gains before it meets them.
-      shifts: ``[>= Y]`` as in `Line`.
+      shifts: ``[>= Y]`` as in `DigitalLine`.
       drop_m: height that a ray gains from one row to the next.
       toward_last: whether the source is beyond the last row.
     """
@@ -168,7 +168,7 @@ def _sweep_rows(raised_m: Array, shifts: Array, drop_m: Array, toward_last: bool
 
 
 @kept_jit
-def sweep(raised_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
+def sweep(raised_m: Float[Array, "Y X"], line: DigitalLine) -> Float[Array, "Y X"]:
     """Return the maximum over the cells beyond each cell on its line of (raised - steps x drop), ``[Y, X]``.
 
     Nothing stands outside the grid: the maximum over no cell is -inf. To go on from neighbouring
@@ -195,7 +195,7 @@ def sweep(raised_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
 
 
 @kept_jit
-def shadow_height(top_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
+def shadow_height(top_m: Float[Array, "Y X"], line: DigitalLine) -> Float[Array, "Y X"]:
     """Return the height below which each cell's centre does not see the source, ``[Y, X]``.
 
     ``S = max over the cells on the ray of (top - run x tan(elevation))``, the cell itself left out:
@@ -216,12 +216,12 @@ def shadow_height(top_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]
     return sweep(_raised(top_m, line), line)
 
 
-def _raised(top_m: Array, line: Line) -> Array:
+def _raised(top_m: Array, line: DigitalLine) -> Array:
     """Return tops, raised by what a line gains before it meets them."""
     return top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
 
 
-def doubled(raised_m: Array, line: Line, passes: int) -> Array:
+def doubled(raised_m: Array, line: DigitalLine, passes: int) -> Array:
     """Return `sweep` of one direction, looking ``2^passes`` rows (columns) far, by doubling (see the top of this file).
 
     Args:
@@ -267,7 +267,7 @@ def doubled(raised_m: Array, line: Line, passes: int) -> Array:
 
 
 def shadow_heights(
-    top_m: Float[Array, "Y X"], lines: Line, window: Window
+    top_m: Float[Array, "Y X"], lines: DigitalLine, window: Window
 ) -> Float[Array, "S y x"]:
     """Return `shadow_height` toward every satellite in a window of the grid, ``[S, y, x]``.
 
@@ -285,18 +285,18 @@ def shadow_heights(
     return lax.platform_dependent(top_m, lines, cpu=by_sweep, default=by_doubling)
 
 
-def heights_by_sweep(top_m: Array, lines: Line, window: Window) -> Array:
+def heights_by_sweep(top_m: Array, lines: DigitalLine, window: Window) -> Array:
     """Return `shadow_heights`, by the form for a CPU."""
     cast = jax.checkpoint(lambda top_m, line: shadow_height(top_m, line)[_kept(window)])
     return lax.scan(lambda _, line: (None, cast(top_m, line)), None, lines)[1]
 
 
-def heights_by_doubling(top_m: Array, lines: Line, window: Window) -> Array:
+def heights_by_doubling(top_m: Array, lines: DigitalLine, window: Window) -> Array:
     """Return `shadow_heights`, by the form for a GPU."""
     return jax.vmap(partial(_height_by_doubling, top_m))(lines)[:, *_kept(window)]
 
 
-def _height_by_doubling(top_m: Array, line: Line) -> Array:
+def _height_by_doubling(top_m: Array, line: DigitalLine) -> Array:
     """Return `shadow_height`, by doubling."""
     passes = math.ceil(math.log2(max(2, *top_m.shape)))  # along the longer side
     return doubled(_raised(top_m, line), line, passes)
@@ -307,10 +307,10 @@ def _kept(window: Window) -> tuple[slice, slice]:
 
 
 @partial(kept_jit, static_argnames=("window",))
-def visible_words(
+def words_along_lines(
     top_m: Float[Array, "Y X"],
     height_m: Float[Array, "A ..."],
-    lines: Line,
+    lines: DigitalLine,
     num: Int[Array, ""],
     *,
     window: Window,
@@ -329,19 +329,21 @@ def visible_words(
     return lax.platform_dependent(top_m, height_m, lines, num, cpu=by_sweep, default=by_doubling)
 
 
-def words_by_sweep(top_m: Array, height_m: Array, lines: Line, num: Array, window: Window) -> Array:
-    """Return `visible_words`, by the form for a CPU: satellite by satellite; the lines that fill up are left out."""
+def words_by_sweep(
+    top_m: Array, height_m: Array, lines: DigitalLine, num: Array, window: Window
+) -> Array:
+    """Return `words_along_lines`, by the form for a CPU: satellite by satellite, without the lines that fill up."""
 
-    def cast(some: Line) -> Array:
+    def cast(some: DigitalLine) -> Array:
         return shadow_height(top_m, jax.tree.map(lambda values: values[0], some))[None]
 
     return _words(cast, height_m, lines, num, window, num, 1)
 
 
 def words_by_doubling(
-    top_m: Array, height_m: Array, lines: Line, num: Array, window: Window
+    top_m: Array, height_m: Array, lines: DigitalLine, num: Array, window: Window
 ) -> Array:
-    """Return `visible_words`, by the form for a GPU: `TOGETHER` satellites at once, whose shadows are then let go."""
+    """Return `words_along_lines`, by the form for a GPU: `TOGETHER` satellites at once, whose shadows then go."""
     cast = jax.vmap(partial(_height_by_doubling, top_m))
     together = math.gcd(TOGETHER, len(lines.heading))
     num_rounds = len(lines.heading) // together
@@ -349,19 +351,19 @@ def words_by_doubling(
 
 
 def _words(
-    cast: Callable[[Line], Array],
+    cast: Callable[[DigitalLine], Array],
     height_m: Array,
-    lines: Line,
+    lines: DigitalLine,
     num: Array,
     window: Window,
     num_rounds: Array | int,
     together: int,
 ) -> Array:
-    """Return `visible_words`, of satellites that are cast and packed in rounds.
+    """Return `words_along_lines`, of satellites that are cast and packed in rounds.
 
     Args:
       cast: returns the `shadow_height` of each of some lines.
-      height_m, lines, num, window: as for `visible_words`.
+      height_m, lines, num, window: as for `words_along_lines`.
       num_rounds: how many rounds there are.
       together: satellites of a round, a divisor of `WORD_BITS`.
     """

@@ -25,7 +25,7 @@ from jaxurban.planners.bitstar.bounds import (
     make_bounds,
     reachable_cells,
 )
-from jaxurban.planners.bitstar.tree import EDGE, NOT_COSTED, BatchGraph, Tree, advance
+from jaxurban.planners.bitstar.tree import EDGE, NOT_COSTED, BatchGraph, Tree, take_edges
 from jaxurban.planners.compiled_first import compiled_first
 
 CHUNK = 20_000  # queue entries between two looks at the clock: some 20 ms
@@ -284,7 +284,7 @@ def _search(cost_grid: CostGrid, batches: Batches) -> None:
         nodes = batches.tree = batches.tree.ready(graph)
         queue = _filled(queue, nodes.g[nodes.state > 0] + nodes.to_goal[nodes.state > 0])
         while True:
-            chunk, num_costed = advance(cost_grid, nodes, queue, graph, CHUNK)
+            chunk, num_costed = take_edges(cost_grid, nodes, queue, graph, CHUNK)
             batches.num_costed += num_costed
             if chunk == FULL:
                 queue = queue.grown()

@@ -320,7 +320,7 @@ def _expand(nodes, queue, graph, node, most):
 
 
 @compiled()
-def advance(cost_grid, nodes, queue, graph, max_taken):
+def take_edges(cost_grid, nodes, queue, graph, max_taken):
     """Take edges from the queue until none can improve the solution, or ``max_taken`` entries are done.
 
     An edge is queued by its lower bound and costed when it comes first. If its true cost no longer puts it first,

@@ -21,7 +21,7 @@ from benchmarks.receiver.counts import (
     without_each_block,
 )
 from jaxurban.satellites.sight import Sight
-from jaxurban.studies.receiver.drive import track_of
+from jaxurban.studies.receiver.drive import drive_track
 from tests.benchmarks.count_logs import OF_ONE_LENGTH, SETTINGS, found, seen, true_log
 from tests.metrics.whole_maps import compute_gps
 from tests.receiver_logs import SCENARIO, drive, scenario, surface
@@ -44,7 +44,7 @@ def score(of: CountValidation, witness: str = "num_tracked") -> pd.Series:
 
 @pytest.mark.slow
 def test_the_prediction_is_what_maps_of_those_times_and_that_height_hold():
-    drive = track_of("a log", read_counts(true_log()), GRID, SETTINGS.sky_step_s)
+    drive = drive_track("a log", read_counts(true_log()), GRID, SETTINGS.sky_step_s)
     sky = (
         Sight.of_scenario(scenario(), GRID)
         .task(drive.sky_times, SETTINGS.antenna_height_m, None)

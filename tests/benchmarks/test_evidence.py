@@ -13,7 +13,7 @@ from benchmarks.receiver import rivals
 from benchmarks.receiver.displaced import displacements, near_by, peaks
 from benchmarks.receiver.evidence import headings_rad, text_of, verdict_of
 from benchmarks.receiver.pictures import plot_displacement
-from jaxurban.satellites.walk import Ground
+from jaxurban.satellites.walk import LegSurface
 from jaxurban.studies.receiver.scores import drawn_blocks
 from tests.benchmarks.made_evidence import (
     FALSE_PRAISE,
@@ -170,16 +170,16 @@ def test_a_receiver_that_stands_has_no_verdict():
 
 @pytest.mark.slow
 def test_displaced_cities_have_fewer_rows_where_cells_lack_data(monkeypatch):
-    around, from_m = Ground.around, evidence().of.epochs.x_m.quantile(0.8)
+    around, from_m = LegSurface.around, evidence().of.epochs.x_m.quantile(0.8)
 
-    def with_gap(*args) -> Ground:
+    def with_gap(*args) -> LegSurface:
         ground = around(*args)
         x_m = ground.grid.x_min_m + ground.grid.resolution_m * (
             np.arange(ground.grid.num_cols) + 0.5
         )
         return replace(ground, has_data=np.broadcast_to(x_m < from_m, ground.grid.shape))
 
-    monkeypatch.setattr(Ground, "around", with_gap)
+    monkeypatch.setattr(LegSurface, "around", with_gap)
     found = few_displaced(heard())
     assert found.displaced.rows.max() < evidence().displaced.rows.max()
 

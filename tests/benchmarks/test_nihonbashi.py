@@ -11,9 +11,9 @@ import shapely
 import jaxurban as ju
 from benchmarks.receiver.evidence import Evidence, evidence_of, headings_rad
 from jaxurban.io.read.orbits import read_orbits
-from jaxurban.io.read.receivers import read_track
+from jaxurban.io.read.receivers import read_reference
 from jaxurban.io.samples import located
-from jaxurban.maps.run import grid_of, load_city
+from jaxurban.maps.run import load_city, scenario_grid
 from jaxurban.studies.receiver.rinex import angles_along
 from tests.benchmarks.made_evidence import FALSE_PRAISE, few_displaced, is_praised, wrong_margins
 from tests.satellite_logs import hidden_by_outlines
@@ -66,7 +66,7 @@ def test_the_sample_shows_that_the_sky_agrees():
 
 def test_500_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
     rows, epochs = found().of.rows, found().of.epochs
-    city, grid = load_city(scenario()), grid_of(scenario())
+    city, grid = load_city(scenario()), scenario_grid(scenario())
     turn_rad = grid.convergence_rad(*grid.centre_lonlat)
     near = shapely.STRtree(city.buildings.polygons)
     chosen = rows[rows.is_judged].sample(500, random_state=0)
@@ -138,7 +138,7 @@ def test_shifted_and_swapped_predictions_are_seldom_praised():
 def test_times_that_are_an_hour_off_are_not_praised_and_a_quarter_of_one_is(data_dir):
     folder = data_dir / "tokyo/nihonbashi-rinex"
     orbits = read_orbits(folder / "rover.nav")
-    track = read_track(folder / "reference.csv")
+    track = read_reference(folder / "reference.csv")
     for hours, low, high in (
         (0, 0.88, 0.90),
         (1, 0.65, 0.75),

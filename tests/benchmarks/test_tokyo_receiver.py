@@ -13,9 +13,9 @@ from benchmarks import tokyo_receiver as receiver
 from benchmarks.receiver import counts
 from benchmarks.receiver.counts import CountSettings, read_counts, seen_along, with_interval
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.maps.run import grid_of
+from jaxurban.maps.run import scenario_grid
 from jaxurban.satellites.sight import Sight
-from jaxurban.studies.receiver.drive import track_of
+from jaxurban.studies.receiver.drive import drive_track
 from tests.benchmarks.count_logs import found
 from tests.benchmarks.made_evidence import made_evidence
 from tests.embree_scene import CityScene
@@ -55,8 +55,8 @@ def test_the_page_has_the_scores_of_every_sky_and_track():
 def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo):
     settings = CountSettings()
     scenario, log = ju.Scenario.from_dict(receiver.SHINJUKU), read_counts(tokyo)
-    grid = grid_of(scenario)
-    track = track_of("a log", log, grid, settings.sky_step_s)
+    grid = scenario_grid(scenario)
+    track = drive_track("a log", log, grid, settings.sky_step_s)
     task = Sight.of_scenario(scenario, grid).task(track.sky_times, settings.antenna_height_m, None)
     made = counts.predict(task, track, lambda *_, **__: None)
     is_seen, known = seen_along(task, track, lambda *_, **__: None)

@@ -13,7 +13,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.read import lidar, plausible
 from jaxurban.io.read.lidar import read_points
-from jaxurban.io.read.sampling import values_at
+from jaxurban.io.read.sampling import raster_values
 from tests.cli_runs import assert_one_sentence, run
 from tests.io.made_files import UTM, X, Y, refused, write_raster
 
@@ -71,7 +71,7 @@ def city_of(source, **more):
 
 def at(raster, east_m, north_m):
     place = np.array([X + east_m]), np.array([Y + north_m])
-    return float(values_at(raster, *place, UTM, "nearest")[0])
+    return float(raster_values(raster, *place, UTM, "nearest")[0])
 
 
 def area_m2(raster, least_m):

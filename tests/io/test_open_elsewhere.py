@@ -15,7 +15,7 @@ import xarray as xr
 from rasterio.shutil import copy
 
 import jaxurban as ju
-from jaxurban.io.geotiff import BLOCK, profile_of, ramp_of, write_cog, write_geotiffs
+from jaxurban.io.geotiff import BLOCK, ramp_of, raster_profile, write_cog, write_geotiffs
 from jaxurban.io.store import write_zarr
 from jaxurban.maps.build import compute_maps
 from jaxurban.metrics.custom import Layer, check_layers, held_variables
@@ -365,7 +365,7 @@ def facts_of(path) -> list:
 def test_a_file_is_that_of_gdals_cog_driver(tmp_path, shape, dtype, is_averaged):
     values = map_of(shape, dtype)
     with rasterio.open(
-        tmp_path / "plain.tif", "w", **profile_of(ju.Grid(*CORNER, *shape), values.dtype)
+        tmp_path / "plain.tif", "w", **raster_profile(ju.Grid(*CORNER, *shape), values.dtype)
     ) as file:
         file.write(values, 1)
         file.update_tags(**TAGS)

@@ -11,7 +11,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.receivers import read_log
-from jaxurban.studies.receiver.logs import log_of, read_receiver_log
+from jaxurban.studies.receiver.logs import read_receiver_log, table_log
 from jaxurban.studies.receiver.rinex import with_navigation
 from tests.io.made_files import refused
 
@@ -276,7 +276,7 @@ def test_a_log_without_satellites_is_a_track_and_says_so(tmp_path):
     with pytest.raises(
         InputError, match=r"3 rows of the columns utc, lon_deg, lat_deg: .*cn0_dbhz"
     ):
-        log_of(read, "log")
+        table_log(read, "log")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from pyproj import Transformer
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import read_orbits
-from jaxurban.io.read.receivers import read_log, read_track
+from jaxurban.io.read.receivers import read_log, read_reference
 from jaxurban.studies.receiver.logs import ReceiverLog, read_receiver_log
 from jaxurban.studies.receiver.rinex import angles_along, with_navigation
 
@@ -152,7 +152,7 @@ def test_a_satellite_stands_where_the_closed_form_of_its_orbit_puts_it(files):
         assert (row.azimuth_deg, row.elevation_deg) == pytest.approx(
             expected, abs=2e-3
         )  # the light's time is 1e-3
-    track = read_track(PLAIN.assign(utc=PLAIN.utc + pd.Timedelta(hours=1)))
+    track = read_reference(PLAIN.assign(utc=PLAIN.utc + pd.Timedelta(hours=1)))
     later = angles_along(read_orbits(files[1]), track)
     expected = angles_deg(LON_DEG, LAT_DEG, place_m, orbit_m(TOW_S + 3600))
     assert (later.azimuth_deg[0], later.elevation_deg[0]) == pytest.approx(expected, abs=2e-3)

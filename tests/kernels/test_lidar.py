@@ -18,11 +18,11 @@ from jaxurban.kernels.lidar.hard import (
     count_returns_by_steps,
     count_returns_on_terrain_by_steps,
     flat_thresholds,
-    halo_cells,
     lowest_heights,
     num_steps,
     phase_starts,
     phases,
+    ray_halo_cells,
     ray_offsets,
     round_up,
 )
@@ -100,7 +100,7 @@ def counts_of(
     lowest_m = lowest_heights(np.array(altitudes_m), elevations_rad, resolution_m, range_m, steps)
     starts, halo = (
         phase_starts(ray_offsets(num_azimuths, steps), per_cell),
-        halo_cells(steps, per_cell),
+        ray_halo_cells(steps, per_cell),
     )
     if terrain_m is None:
         count = (FLAT | {"jax": count_returns})[form or "cpu"]
@@ -284,7 +284,7 @@ def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell,
     on_terrain = form in ON_TERRAIN
     scan = [2.0, 10.0], np.deg2rad(np.linspace(-15, 15, 5)), 24, 30.0, 2.0
     steps = num_steps(2.0, 30.0)
-    halo = halo_cells(steps, per_cell) * per_cell
+    halo = ray_halo_cells(steps, per_cell) * per_cell
     roof_m = random_city(12 * per_cell, halo, seed=per_cell)
     row, col = np.indices(roof_m.shape)
     terrain_m = (np.round(8 * (9 * np.sin(row / 9) + 6 * np.cos(col / 6) + 30)) / 8).astype(

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from jaxurban.kernels.shadows.slabs import Receivers, hide_behind_slabs
+from jaxurban.kernels.shadows.slabs import SlabReceivers, hide_behind_slabs
 
 RESOLUTION_M = 2.0
 FIRST_ROW, FIRST_COL, EVERY = 901_234, -117_003, 3
@@ -69,7 +69,7 @@ def test_the_satellites_hidden_are_those_of_a_walk_along_every_line(with_terrain
     cells, heights_m = slabs(with_terrain)
     ground_m = np.random.default_rng(1).uniform(-5, 5, (NUM_ROWS, NUM_COLS)) * with_terrain
     words = np.full((2, len(ALTITUDES_M), NUM_ROWS, NUM_COLS), 2**32 - 1, np.uint32)
-    receivers = Receivers(
+    receivers = SlabReceivers(
         FIRST_ROW, FIRST_COL, EVERY, ground_m if with_terrain else np.empty((0, 0))
     )
     hide_behind_slabs(

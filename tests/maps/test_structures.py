@@ -20,7 +20,7 @@ from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.metrics.variables import GROUP_NUMBERS
 from jaxurban.satellites.outlines import Hiding
 from jaxurban.settings import SLABS, HeightStd
-from jaxurban.viewer.outlines import outlines_of
+from jaxurban.viewer.outlines import packed_outlines
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
@@ -111,7 +111,7 @@ def test_the_record_of_a_run_counts_what_stands_by_kind():
 def test_the_viewer_outlines_structures_and_what_is_unknown():
     maps = made_maps()
     moved = shapely.transform(works().standing.polygons, lambda xy: xy + maps.grid.bounds_m[:2])
-    values = unpacked(outlines_of(maps, replace(works().standing, polygons=moved)))
+    values = unpacked(packed_outlines(maps, replace(works().standing, polygons=moved)))
     counts, heights_m, is_guessed, group = values[1:21].reshape(4, 5)
     assert (counts == 5).all()
     assert heights_m.tolist() == [20.0, 30.0, 90.0, 35.0, 50.0]  # the last is its bound

@@ -344,7 +344,7 @@ def test_without_a_clearance_nothing_is_kept_or_closed_and_paths_come_nearer():
 
 def test_every_command_that_plans_takes_the_options():
     for module in ("plan", "study", "sensitivity", "tune"):
-        command = getattr(import_module(f"jaxurban.cli.{module}"), module)
+        command = getattr(import_module(f"jaxurban.cli.{module}"), f"{module}_command")
         assert {"--clearance", "--vertical-clearance"} <= {
             name for param in command.params for name in param.opts
         }

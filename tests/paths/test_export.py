@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 import jaxurban as ju
 from benchmarks.random_routes import READERS
-from jaxurban.cli.plan import plan
+from jaxurban.cli.plan import plan_command
 from jaxurban.io.read.zone import Zone
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.export.qgc_plan import height_note
@@ -443,7 +443,7 @@ def test_gpx_holds_several_routes_by_name(tmp_path):
 
 
 def test_texts_name_every_format():
-    option = next(option for option in plan.params if option.name == "files")
+    option = next(option for option in plan_command.params if option.name == "files")
     guide = (Path(__file__).parents[2] / "docs/guides/routes.md").read_text(encoding="utf-8")
     for suffix in FORMATS:
         assert suffix in option.help

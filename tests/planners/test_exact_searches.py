@@ -16,7 +16,7 @@ from jaxurban.planners.astar import (
     ADMISSIBLE,
     VOLUME_HEURISTICS,
     astar,
-    cost_to_go,
+    exact_cost_to_go,
     heuristic_at,
     make_heuristic,
     make_landmarks,
@@ -244,7 +244,7 @@ def test_many_maps_at_once_are_solved_exactly_by_numba_and_by_tiles_with_every_b
     for index, problem in enumerate(problems):
         assert_optimal(paths[index], problem)
         assert paths[index].backend == ("numba" if band_steps is None else "jax")
-        assert cost_to_go(problem)[problem.start] == pytest.approx(
+        assert exact_cost_to_go(problem)[problem.start] == pytest.approx(
             paths[index].cost, rel=1e-11, abs=1e-12
         )
     assert paths[0].status is Status.NO_PATH
@@ -354,7 +354,7 @@ def test_tiles_are_exact_over_many_tiles_and_wide_spreads_whatever_runs_beside(k
     for index, path in bounded.items():
         assert path.heuristic == "landmarks"
         np.testing.assert_array_equal(path.points_m, paths[index].points_m)
-    np.testing.assert_allclose(costs_by_tiles(problem), cost_to_go(problem), rtol=1e-12)
+    np.testing.assert_allclose(costs_by_tiles(problem), exact_cost_to_go(problem), rtol=1e-12)
 
 
 @pytest.mark.parametrize("step", [(1, 0), (0, 1), (1, 1), (1, -1), (-1, -1)])
@@ -377,7 +377,7 @@ def test_landmarks_bound_the_cost_from_a_start_to_every_cell_of_a_tile_tighter_t
     _, octile, _ = tile_search._tiled(problem, start)
     make_landmarks(problem)
     _, bound, _ = tile_search._tiled(problem, start)
-    costs = cost_to_go(problem.between(problem.start, problem.start))
+    costs = exact_cost_to_go(problem.between(problem.start, problem.start))
     if kind == "cell":  # the same way back pays the other end's cell
         costs = costs + problem.cost - problem.cost[problem.start]
     for (i, j), least in np.ndenumerate(bound[0]):

@@ -6,7 +6,7 @@ import pytest
 from jaxurban.kernels.search.bounds import TILE, printed_plus_field
 from jaxurban.planners.astar import (
     astar,
-    cost_to_go,
+    exact_cost_to_go,
     heuristic_at,
     landmark_cells,
     make_heuristic,
@@ -145,7 +145,7 @@ def test_tables_are_made_once_for_all_queries_that_they_serve():
     problem = city()
     first = astar(problem, heuristic="exact")
     assert first.num_expanded < 2 * len(first.points_m)  # straight to the goal
-    field = cost_to_go(problem)
+    field = exact_cost_to_go(problem)
     astar(problem.between((1, 1), problem.goal), heuristic="exact")
     assert make_heuristic("exact", problem).field is field
     assert make_heuristic("exact", problem.between(problem.goal, (1, 1))).field[1, 1] == 0

@@ -13,7 +13,7 @@ from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.planners.simplify import CLEAR_M, simplify
+from jaxurban.planners.simplify import CLEAR_M, simplify_path
 from tests.free_space import Obstacles
 
 OCTILE = (
@@ -94,7 +94,7 @@ def check_simplified(
     problem: Problem, path: Path, obstacles: Obstacles, tolerance_m: float
 ) -> bool:
     """Whether it keeps clear of closed cells, after what must hold of a simplified path was asserted."""
-    simple = simplify(problem, path, tolerance_m)
+    simple = simplify_path(problem, path, tolerance_m)
     assert simple.cost == problem.cost_of(simple.points_m) < np.inf
     assert simple.lower_bound <= simple.cost
     np.testing.assert_array_equal(simple.points_m[[0, -1]], path.points_m[[0, -1]])
@@ -178,7 +178,7 @@ def test_an_empty_map_costs_the_straight_line_within_the_planners_discretisation
         excess.append(path.cost / straight_m - 1 if straight_m else path.cost)
         if name in ("bitstar-dist", "bitstar-plus", "theta-star"):
             assert (path.status, len(path.points_m)) == (Status.OPTIMAL, 1 + (straight_m > 0))
-            simple = simplify(problem, path, 1.0)
+            simple = simplify_path(problem, path, 1.0)
             assert (simple.status, simple.points_m.tolist()) == (
                 path.status,
                 path.points_m.tolist(),
@@ -214,7 +214,7 @@ def test_start_at_the_goal_costs_nothing(name, model):
         path = run(name, problem, **options)
         assert (path.status.has_path, path.status.exit_code, path.cost) == (True, 0, 0.0)
         np.testing.assert_allclose(path.points_m, (np.array([cell])[:, ::-1] + 0.5) * SIDE_M)
-        assert simplify(problem, path, 1.0).points_m.tolist() == path.points_m.tolist()
+        assert simplify_path(problem, path, 1.0).points_m.tolist() == path.points_m.tolist()
         assert model == "cell" or refine(problem, path).cost == 0
 
 
@@ -243,7 +243,7 @@ def test_a_goal_in_a_closed_court_is_not_reached(name, model):
         assert path.status is (Status.BLOCKED if name == "ptp" else Status.NO_PATH)
         assert (path.status.exit_code, path.cost, len(path.points_m)) == (3, np.inf, 0)
     for altered in (
-        simplify(problem, path, 1.0),
+        simplify_path(problem, path, 1.0),
         path if model == "cell" else refine(problem, path),
     ):
         assert vars(altered) | {"setup_s": path.setup_s} == vars(

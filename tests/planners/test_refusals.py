@@ -15,7 +15,7 @@ from jaxurban.planners.bulk import solve_batched
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import find_planner, solve_many
-from jaxurban.planners.simplify import simplify
+from jaxurban.planners.simplify import simplify_path
 
 FREE = np.array([[True, True, True], [True, False, True]])
 LAYERS = np.ones((2, 2, 3))
@@ -149,17 +149,23 @@ REFUSED = {
         "leaves the map",
     ),
     "a path off free cells": (
-        lambda: simplify(wall(), with_points([[0.5, 0.5], [1.5, 1.5]]), 1.0),
+        lambda: simplify_path(wall(), with_points([[0.5, 0.5], [1.5, 1.5]]), 1.0),
         "not free on this",
     ),
     "a tolerance of 0": (
-        lambda: simplify(wall(), astar(wall()), 0),
+        lambda: simplify_path(wall(), astar(wall()), 0),
         "tolerance_m must be a positive number of metres",
     ),
-    "a tolerance below 0": (lambda: simplify(wall(), astar(wall()), -1.0), "tolerance_m must be"),
-    "a tolerance of NaN": (lambda: simplify(wall(), astar(wall()), np.nan), "tolerance_m must be"),
+    "a tolerance below 0": (
+        lambda: simplify_path(wall(), astar(wall()), -1.0),
+        "tolerance_m must be",
+    ),
+    "a tolerance of NaN": (
+        lambda: simplify_path(wall(), astar(wall()), np.nan),
+        "tolerance_m must be",
+    ),
     "a tolerance in words": (
-        lambda: simplify(wall(), astar(wall()), "wide"),
+        lambda: simplify_path(wall(), astar(wall()), "wide"),
         "tolerance_m must be",
     ),
     "a search without an end": (

@@ -12,7 +12,7 @@ from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.planners.simplify import CLEAR_M, REACH, fewest_legs, simplify
+from jaxurban.planners.simplify import CLEAR_M, REACH, fewest_legs, simplify_path
 from tests.free_space import Obstacles
 from tests.planners.test_portfolio import check_simplified
 
@@ -110,7 +110,7 @@ def test_a_path_that_grazes_corners_is_moved_off_them_by_no_more_than_the_tolera
     assert path.cost < np.inf
     for tolerance_m in (0.2, 1.0):
         assert check_simplified(problem, path, Obstacles(is_free, SIDE_M), tolerance_m)
-    tight = simplify(problem, path, 0.01)  # too little to leave the corners
+    tight = simplify_path(problem, path, 0.01)  # too little to leave the corners
     assert "pass nearer than 2 cm to a closed cell, as the planned path does" in tight.note
     assert hausdorff_distance(LineString(tight.points_m), LineString(grazing), densify=0.02) <= 0.01
 
@@ -122,7 +122,7 @@ def test_a_step_between_two_obstacles_that_touch_stays_as_it_was_planned_and_is_
         np.zeros((1, 12, 12)), is_free, (1, 1), (10, 10), SIDE_M, 1.0, CostModel(diagonal="always")
     )
     path = find_planner("astar-dist")(problem, budget_s=10.0, seed=0)
-    simple = simplify(problem, path, 2.0)
+    simple = simplify_path(problem, path, 2.0)
     assert simple.cost < np.inf
     assert "1 of its legs pass nearer" in simple.note
     assert len(simple.points_m) <= 4
@@ -149,7 +149,7 @@ def test_through_a_volume_each_level_is_simplified_on_its_own_cells(kind):
     for seed in range(5):
         problem = volume(seed, kind)
         path = volume_astar(problem)
-        simple = simplify(problem, path, 2.5)
+        simple = simplify_path(problem, path, 2.5)
         assert len(simple.points_m) <= len(path.points_m)
         assert simple.cost == problem.cost_of(simple.points_m) < np.inf
         is_level = np.diff(simple.points_m[:, 2]) == 0

@@ -29,11 +29,11 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Status
 from jaxurban.report import figures as plotting
 from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer
-from jaxurban.report.figures.metrics import obstacle_patches, percent
+from jaxurban.report.figures.metrics import obstacle_patches, precise_percent
 from jaxurban.report.figures.paths import (
     LINE_PT,
     PLANNER_COLOURS,
-    Place,
+    CostChoice,
     closed_at,
     maps_figures,
     side_by_side,
@@ -163,7 +163,7 @@ def test_pictures_say_what_they_show():
     maps.ds["risk"].attrs["one_means"] = METRICS["risk"].one_means
     mean = maps.m("gps", 60.0)[maps.is_free(60.0, "centre")].mean()
     good = (maps.m("gdop", 20.0)[maps.is_free(20.0, "centre")] <= 6).mean()
-    shares = {z: percent((maps.m("obstacle", z) == 1).mean()) for z in ALTITUDES_M}
+    shares = {z: precise_percent((maps.m("obstacle", z) == 1).mean()) for z in ALTITUDES_M}
     people = {
         name: maps.m("density", time_of_day=name).sum(dtype=float) * 0.01
         for name in ("day", "night")
@@ -176,7 +176,10 @@ def test_pictures_say_what_they_show():
             plotting.plot_metric(maps, "gps", altitude_m=[60.0]),
             (f"60 m  ·  mean {mean:.2f}", *frame),
         ),
-        (plotting.plot_gps_rating(maps), (f"20 m  ·  {percent(good)} good or better", *ratings)),
+        (
+            plotting.plot_gps_rating(maps),
+            (f"20 m  ·  {precise_percent(good)} good or better", *ratings),
+        ),
         (
             plotting.plot_obstacles(maps),
             [f"{z:g} m  ·  {share} blocked" for z, share in shares.items()],
@@ -249,7 +252,7 @@ def test_classes_people_and_costs_have_the_colours_of_their_values(maps):
     ]
     for k, z in enumerate(ALTITUDES_M):
         is_gps, is_free = maps.m("gps", z) > maps.m("lidar", z), maps.is_free(z, "centre")
-        assert f"{z:g} m  ·  GPS in {percent(is_gps[is_free].mean())}" in texts_of(choice)
+        assert f"{z:g} m  ·  GPS in {precise_percent(is_gps[is_free].mean())}" in texts_of(choice)
         for name, cells in (("gps", is_free & is_gps), ("lidar", is_free & ~is_gps)):
             expected += [(choice, k, cells, METRICS[name].colour)] if cells.any() else []
     for figure, k, cells, colour in expected:
@@ -329,7 +332,9 @@ def test_cells_that_are_closed_and_no_obstacle_are_hatched_and_the_legend_says_s
         maps.m("obstacle", 20.0) == 0
     )
     assert 0.05 < expected.mean() < 0.9
-    assert np.array_equal(closed_at(maps, Place(20.0, maps.times[0], "day"), [route]), expected)
+    assert np.array_equal(
+        closed_at(maps, CostChoice(20.0, maps.times[0], "day"), [route]), expected
+    )
 
     # The colours of a cell's middle, drawn without and with its hatch.
     for plot in (plotting.plot_paths, plotting.plot_overview):
@@ -355,7 +360,7 @@ def test_cells_that_are_closed_and_no_obstacle_are_hatched_and_the_legend_says_s
 def test_routes_under_other_rules_hatch_what_is_closed_to_all_of_them(maps):
     paths = [make_path(maps, name) for name in ("a", "b")]
     wide = replace(paths[1], settings=paths[1].settings | {"limits": {"clearance_m": 150.0}})
-    place = Place(20.0, maps.times[0], "day")
+    place = CostChoice(20.0, maps.times[0], "day")
     narrow, both, alone = (
         closed_at(maps, place, chosen) for chosen in (paths, [paths[0], wide], [wide])
     )
@@ -665,7 +670,7 @@ def test_cells_without_data_are_told_from_obstacles():
 
 def test_percentages_are_exact_only_where_they_are():
     shares = (0, 0.0001, 0.051, 0.5, 0.998, 0.99999, 1)
-    assert [percent(share) for share in shares] == [
+    assert [precise_percent(share) for share in shares] == [
         "0 %",
         "< 0.1 %",
         "5.1 %",

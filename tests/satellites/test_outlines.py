@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.satellites.outlines import NO_HIT, Outlines
+from jaxurban.satellites.outlines import NO_HIT, BuildingTrees
 from jaxurban.satellites.rule import FARTHEST_MARGIN_M
 from jaxurban.settings import SLABS, TO_GROUND
 from jaxurban.world.footprints import Footprints
@@ -73,7 +73,7 @@ def by_brute_force(buildings: Footprints, rays: Rays, height_m: np.ndarray) -> n
 
 def test_rays_are_hidden_where_embree_meets_a_wall_and_by_the_roof_that_clears_least():
     buildings, (rays, height_m) = town(0), some_rays(1)
-    found = Outlines(buildings, TO_GROUND).clearances(rays, height_m)
+    found = BuildingTrees(buildings, TO_GROUND).clearances(rays, height_m)
     every = by_brute_force(buildings, rays, height_m)
     least = every.min(axis=1)
     expected = np.where(least < FARTHEST_MARGIN_M, least, np.inf)
@@ -98,10 +98,10 @@ def test_a_wall_hides_up_to_its_roof_and_the_margin_is_the_closed_form():
     elevation_rad = np.arctan2([40.0, 47.9, 48.1, 107.0, 109.0], 100.0)
     ones = np.ones(5)
     rays = Rays(0 * ones, 0 * ones, EAST * ones, elevation_rad)
-    found = Outlines(wall, TO_GROUND).clearances(rays, 2 * ones)
+    found = BuildingTrees(wall, TO_GROUND).clearances(rays, 2 * ones)
     np.testing.assert_allclose(found.margin_m, [-8.0, -0.1, 0.1, 59.0, np.inf], atol=1e-9)
     np.testing.assert_allclose(found.distance_m[:4], 100.0)
-    away = Outlines(wall, TO_GROUND).clearances(Rays(*-ones[:4, None]), 2 * ones[:1])
+    away = BuildingTrees(wall, TO_GROUND).clearances(Rays(*-ones[:4, None]), 2 * ones[:1])
     assert away.margin_m == np.inf
 
 
@@ -112,7 +112,7 @@ def test_what_hangs_hides_between_its_floor_and_its_roof(hanging, hidden):
     elevation_rad = np.arctan2([24.0, 26.0, 37.0, 39.5], 100.0)
     ones = np.ones(4)
     rays = Rays(0 * ones, 0 * ones, EAST * ones, elevation_rad)
-    found = Outlines(deck, hanging).clearances(rays, 1 * ones)
+    found = BuildingTrees(deck, hanging).clearances(rays, 1 * ones)
     np.testing.assert_array_equal(found.margin_m <= 0, np.array(hidden, bool))
     if hanging == SLABS:  # under it, how far below the floor at its far edge
         assert found.margin_m[0] == pytest.approx(30.0 - 1.0 - 1.2 * 24.0)
@@ -126,7 +126,7 @@ def test_a_ray_through_a_slab_is_as_deep_as_the_nearer_of_its_faces():
     rays = Rays(0 * ones, 0 * ones, EAST * ones, np.arctan(slope))
     z_m = 1.0 + slope[:, None] * np.linspace(100, 200, 100_001)
     for floor_m, depth_m in ((30.0, np.minimum(40 - z_m, z_m - 30)), (0.0, 40 - z_m)):
-        found = Outlines(footprints(boxes, [40.0], floor_m), SLABS).clearances(rays, ones)
+        found = BuildingTrees(footprints(boxes, [40.0], floor_m), SLABS).clearances(rays, ones)
         margin_m = -depth_m.max(axis=1)
         near = margin_m < FARTHEST_MARGIN_M
         np.testing.assert_allclose(found.margin_m[near], margin_m[near], atol=1e-3)
@@ -142,7 +142,7 @@ def test_ground_that_rises_raises_what_stands_on_it():
     def rays(steeper: float) -> Rays:
         return Rays(0 * ones, 0 * ones, EAST * ones, np.arctan(slope + steeper))
 
-    flat = Outlines(wall, TO_GROUND).clearances(rays(0.0), 2 * ones)
-    rising = Outlines(wall, TO_GROUND, lambda x_m, y_m: 0.1 * x_m, 20.0)
+    flat = BuildingTrees(wall, TO_GROUND).clearances(rays(0.0), 2 * ones)
+    rising = BuildingTrees(wall, TO_GROUND, lambda x_m, y_m: 0.1 * x_m, 20.0)
     found = rising.clearances(rays(0.1), 2 * ones)
     np.testing.assert_allclose(found.margin_m, flat.margin_m, atol=1e-9)

@@ -12,7 +12,7 @@ from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.satellites.rule import FARTHEST_MARGIN_M, is_seen, states_of
 from jaxurban.satellites.sight import Sight
 from jaxurban.satellites.track import Track
-from jaxurban.satellites.walk import Ground
+from jaxurban.satellites.walk import LegSurface
 from jaxurban.world.known import Rays
 from jaxurban.world.raster import Raster
 from tests.made_maps import city_of_boxes
@@ -61,7 +61,7 @@ def seen_by_all(sight: Sight) -> tuple[np.ndarray, ...]:
     )
     rays = Rays(x_m[epoch], y_m[epoch], *angles)
     box = track.box(sight.region, np.arange(NUM_PLACES))
-    ground = Ground.around(sight.city, box, 0.0, 1000.0, ALTITUDE_M)
+    ground = LegSurface.around(sight.city, box, 0.0, 1000.0, ALTITUDE_M)
     table = sight.hiding.behind(rays, np.full(len(epoch), ALTITUDE_M))
     return swept[epoch, satellite], ground.margins_m(rays), table["margin_m"].to_numpy()
 

@@ -13,7 +13,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io import files
-from jaxurban.io.stored import settings_of
+from jaxurban.io.stored import stored_settings
 from jaxurban.maps import provenance as record
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario
@@ -173,11 +173,11 @@ def test_a_changed_scenario_is_refused_with_both_differences_and_a_new_folder(jo
 def test_saved_maps_have_the_record_of_their_own_run_or_none(job, tmp_path):
     made = pipeline.run_scenario(job_of(weights={"gps": 7}), job).maps[20.0]
     made.save(tmp_path / "copy")
-    assert settings_of(tmp_path / "copy") == {}
+    assert stored_settings(tmp_path / "copy") == {}
     made.save(job)
-    assert settings_of(job)["weights"]["gps"] == 7
+    assert stored_settings(job)["weights"]["gps"] == 7
     made_maps(20, 20, resolution_m=20.0).save(job)
-    assert settings_of(job) == {}
+    assert stored_settings(job) == {}
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ def table() -> pd.DataFrame:
     instances = pd.DataFrame(
         {"instance": range(12), "altitude_m": 20.0, "range": ["short"] * 6 + ["long"] * 6}
     )
-    return analysis.joined(pd.DataFrame(rows), instances)
+    return analysis.with_instances(pd.DataFrame(rows), instances)
 
 
 def test_a_pair_is_joined_unless_no_path_was_proven_and_ratios_are_to_the_cheapest_of_any_planner(
@@ -72,7 +72,7 @@ def test_a_pair_is_joined_unless_no_path_was_proven_and_ratios_are_to_the_cheape
 def test_a_path_that_costs_nothing_is_the_best():
     rows = pd.DataFrame([row(0, CHEAP, 0.0, status="optimal"), row(0, DEAR, 1.0)])
     instances = pd.DataFrame({"instance": [0], "altitude_m": 20.0})
-    found = analysis.joined(rows, instances)
+    found = analysis.with_instances(rows, instances)
     assert found.ratio[0] == 1.0
     assert np.isnan(found.ratio[1])
     assert (found.range == "any").all()

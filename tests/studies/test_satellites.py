@@ -11,8 +11,8 @@ from scipy.stats import mannwhitneyu
 
 import jaxurban as ju
 from jaxurban.kernels.shadows.sweep import ENTRY_STEPS
-from jaxurban.maps.run import grid_of, load_city
-from jaxurban.satellites.walk import Ground
+from jaxurban.maps.run import load_city, scenario_grid
+from jaxurban.satellites.walk import LegSurface
 from jaxurban.studies.receiver import drive
 from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
 from jaxurban.world.grid import Grid
@@ -67,7 +67,10 @@ def test_what_is_all_seen_has_no_auc():
 @pytest.mark.slow
 def test_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
     rows, epochs = found().rows, found().epochs
-    city, turn_rad = load_city(scenario()), grid_of(scenario()).convergence_rad(-73.9965, 40.758)
+    city, turn_rad = (
+        load_city(scenario()),
+        scenario_grid(scenario()).convergence_rad(-73.9965, 40.758),
+    )
     outlines = city.buildings.polygons, city.buildings.height_m
     chosen = rows[rows.is_judged].sample(300, random_state=0)
     hidden = [
@@ -92,7 +95,7 @@ def test_a_stated_radius_judges_rays_that_stay_so_near_to_the_track():
     """A witness of its own: the distance to the places of each point along a ray, a metre apart."""
     rows, epochs = validated(heard(), known=150.0).rows, found().epochs
     top_m = load_city(scenario()).buildings.height_m.max()
-    turn_rad = grid_of(scenario()).convergence_rad(-73.9965, 40.758)
+    turn_rad = scenario_grid(scenario()).convergence_rad(-73.9965, 40.758)
     places = shapely.MultiPoint(epochs[["x_m", "y_m"]].to_numpy())
     for row in rows.sample(60, random_state=1).itertuples():
         away_m = np.arange(0, (top_m - 2.0) / np.tan(np.radians(row.elevation_deg)))
@@ -127,7 +130,7 @@ def test_what_is_judged_follows_from_place_and_direction_alone():
 @pytest.mark.slow
 def test_places_in_a_building_are_left_out_and_counted():
     city = load_city(scenario())
-    lon, lat = grid_of(scenario()).lonlat_of_xy(
+    lon, lat = scenario_grid(scenario()).lonlat_of_xy(
         *shapely.get_coordinates(city.buildings.polygons[20].centroid)[0]
     )
     log = heard()
@@ -178,13 +181,13 @@ def test_epochs_count_judged_rows():
     assert epochs.num_visible.isna().sum() == len(epochs) - judged.epoch.nunique()
 
 
-def gap_at(x_m: float, side: int = 40) -> Ground:
+def gap_at(x_m: float, side: int = 40) -> LegSurface:
     """Return flat ground of cells of 1 m with a roof of 20 m, 8 m east of its middle, and no data from x_m on."""
     grid = Grid("EPSG:32618", 1.0, 0, 0, side, side)
     roof_m, has_data = np.zeros(grid.shape, np.float32), np.ones(grid.shape, bool)
     roof_m[:, side // 2 + 8] = 20.0
     has_data[:, int(x_m) :] = False
-    return Ground(grid, roof_m, None, has_data, 2.0)
+    return LegSurface(grid, roof_m, None, has_data, 2.0)
 
 
 @pytest.mark.slow
@@ -205,16 +208,16 @@ def test_a_ray_that_crosses_cells_without_data_before_it_is_above_all_roofs_is_u
 
 @pytest.mark.slow
 def test_rows_over_cells_without_data_are_not_judged(monkeypatch):
-    around, from_m = Ground.around, found().epochs.x_m.quantile(0.8)
+    around, from_m = LegSurface.around, found().epochs.x_m.quantile(0.8)
 
-    def with_gap(*args) -> Ground:
+    def with_gap(*args) -> LegSurface:
         ground = around(*args)
         x_m = ground.grid.x_min_m + ground.grid.resolution_m * (
             np.arange(ground.grid.num_cols) + 0.5
         )
         return replace(ground, has_data=np.broadcast_to(x_m < from_m, ground.grid.shape))
 
-    monkeypatch.setattr(Ground, "around", with_gap)
+    monkeypatch.setattr(LegSurface, "around", with_gap)
     of, before = validated(heard()), found().rows
     x_m = found().epochs.x_m.to_numpy()[before.epoch]
     assert not of.rows.is_judged[x_m > from_m + 5.0].any()

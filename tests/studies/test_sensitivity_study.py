@@ -15,12 +15,11 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.maps.run import run_scenario
-from jaxurban.maps.run import tasks_of as maps_tasks_of
+from jaxurban.maps.run import run_scenario, tasks_of
 from jaxurban.maps.sources import scenario_of
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.rows import InstanceRuns, RouteRules, solve_here
-from jaxurban.report.figures.sensitivity_study import plot_nearest, study_figures
+from jaxurban.report.figures.sensitivity_study import plot_nearest, sensitivity_study_figures
 from jaxurban.report.sensitivity_study import shown_tables, study_markdown
 from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.montecarlo.sampling import sample_joined
@@ -210,7 +209,7 @@ def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_pop
 def test_no_text_of_a_figure_leaves_the_page_and_panels_that_are_compared_share_their_scale(
     weight_study,
 ):
-    for draw in study_figures(weight_study.tables, 2.0).values():
+    for draw in sensitivity_study_figures(weight_study.tables, 2.0).values():
         assert faults(draw()) == []
     figure = plot_nearest(weight_study.tables["summary"], 2.0)
     assert len({panel.get_xlim() for panel in figure.axes}) == 1
@@ -408,7 +407,7 @@ def test_routes_on_maps_of_another_parameter_are_those_planned_on_maps_built_wit
     of_parameters, parameter, factor, section
 ):
     nominal = of_parameters.maps["town"]
-    task = maps_tasks_of(scenario_of(of_parameters.folder.parent / "maps"))[0]
+    task = tasks_of(scenario_of(of_parameters.folder.parent / "maps"))[0]
     gps = ju.Gps(gdop_threshold=1.9, times=nominal.times)
     other = ju.build_maps(
         task.city, grid=nominal.grid, altitudes_m=(20.0,), **{"gps": gps, **section}

@@ -17,7 +17,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.viewer.html import html_page, part, policy_of
 from jaxurban.viewer.server import MOST_BODY
-from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, middles, strides_of, tile_bytes
+from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, middles, packed_tile, strides_of
 from jaxurban.viewer.viewer import Viewer
 from tests.made_maps import made_maps
 from tests.viewer.browser import served, unpacked
@@ -298,7 +298,7 @@ def test_tiles_of_a_stride_hold_the_middle_cell_of_each_square(stride):
     num_rows, num_cols = (-(-size // stride) for size in VALUES.shape)
     for row in range(-(-num_rows // TILE)):
         for col in range(-(-num_cols // TILE)):
-            got = unpacked(tile_bytes(VALUES, stride, row, col)).reshape(
+            got = unpacked(packed_tile(VALUES, stride, row, col)).reshape(
                 min(TILE, num_rows - row * TILE), -1
             )
             for i, j in ((0, 0), np.subtract(got.shape, 1)):
@@ -313,7 +313,7 @@ def test_at_stride_1_every_value_is_there_bit_for_bit():
     odd = VALUES.copy()
     odd[0, :4] = np.nan, np.inf, -np.inf, -0.0
     assert (
-        unpacked(tile_bytes(odd, 1, 0, 0)).tobytes()
+        unpacked(packed_tile(odd, 1, 0, 0)).tobytes()
         == np.ascontiguousarray(odd[:TILE, :TILE]).tobytes()
     )
 

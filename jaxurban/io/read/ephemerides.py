@@ -118,7 +118,7 @@ def loaded(function: str, text: str) -> Any:
         raise ValueError(str(error)) from error
 
 
-def check_scale(scale: str, what: str) -> None:
+def check_time_scale(scale: str, what: str) -> None:
     """Raise InputError, which begins with ``what``, where a file counts in a time that is not that of GPS."""
     if scale not in GPS_SCALES:
         raise InputError(
@@ -162,7 +162,7 @@ def _broadcast(text: str, what: str) -> list[Ephemeris]:
 def _sp3(text: str, what: str) -> list[Ephemeris]:
     """Return the satellites of precise orbits, which are good up to one step beyond the first and the last node."""
     precise = loaded("load_sp3", text)
-    check_scale(precise.header.time_system, what)
+    check_time_scale(precise.header.time_system, what)
     first_s, *_, last_s = J2000_S + np.array(precise.epochs_j2000_seconds)
     return [Ephemeris(name, precise, (first_s, last_s), 0.0) for name in precise.satellites]
 

@@ -25,10 +25,10 @@ from jaxurban.io.read.mission_parts import (
     Mission,
     check_place,
     decimal_of,
+    first_sentences,
     json_of,
     number_of,
     one_value,
-    shortened,
     whole_of,
 )
 
@@ -197,7 +197,7 @@ def mission_of(
     """
     if not flown.accounts:
         raise InputError(f"{name!r} holds no items: give a mission that has some")
-    sentences = shortened([*flown.not_judged, *notes])
+    sentences = first_sentences([*flown.not_judged, *notes])
     if not flown.legs and not sentences:
         raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
     planned_m_s = speed_m_s if speed_m_s > 0 else None

@@ -33,10 +33,10 @@ from jaxurban.io.read.mission_parts import (
     Profile,
     check_place,
     decimal_of,
+    first_sentences,
     json_of,
     number_of,
     one_value,
-    shortened,
 )
 from jaxurban.io.read.routes import ALTITUDE_PROPERTY, SEGMENT_PROPERTY
 
@@ -185,7 +185,7 @@ def mission_of_lines(
         tuple(legs),
         home,
         home_elevation_m=None,
-        not_judged=shortened(notes + sentences),
+        not_judged=first_sentences(notes + sentences),
         speed_m_s=None,
         accounts=tuple(accounts),
         num_things=num_positions,

@@ -249,7 +249,7 @@ def check_place(what: str, lon: float, lat: float, height_m: float = 0.0) -> Non
         raise DamagedError(f"{what} has a height of {height_m:g} m, which no drone reaches")
 
 
-def shortened(sentences: Sequence[str]) -> tuple[str, ...]:
+def first_sentences(sentences: Sequence[str]) -> tuple[str, ...]:
     """Return sentences, each once; of more than `MOST_NAMED` the first of them, and one that counts the others."""
     distinct = tuple(dict.fromkeys(sentences))
     num_more = len(distinct) - MOST_NAMED

@@ -69,7 +69,7 @@ class Outlines:
         return {}
 
 
-def joined(path: Path, several: Sequence[Outlines]) -> Outlines:
+def joined_outlines(path: Path, several: Sequence[Outlines]) -> Outlines:
     """Return the outlines of several files as of one.
 
     Args:

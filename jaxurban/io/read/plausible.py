@@ -17,7 +17,7 @@ from jaxurban.io.read.raster import (
     raster_window,
     read_raster,
 )
-from jaxurban.io.read.sampling import resample_raster, values_at
+from jaxurban.io.read.sampling import raster_values, resample_raster
 from jaxurban.knowledge import Guesses, GuessKind, guessed
 from jaxurban.settings import TO_GROUND
 from jaxurban.world.footprints import HeightOrigin
@@ -201,7 +201,7 @@ def check_are_heights(name: str, city: City, terrain: Raster | None) -> None:
         return
     is_high = np.mean(height_m < HIGH_M) < FEW_LOW
     if terrain is not None:
-        ground_m = values_at(terrain, x_m, y_m, city.crs, "nearest")
+        ground_m = raster_values(terrain, x_m, y_m, city.crs, "nearest")
         is_known = np.isfinite(ground_m)
         if is_known.sum() >= LEAST_BUILDINGS and np.median(ground_m[is_known]) > LEAST_LEVEL_M:
             is_high |= np.mean(height_m[is_known] > ground_m[is_known]) > MOST_ABOVE

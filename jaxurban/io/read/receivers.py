@@ -12,7 +12,7 @@ from jaxurban.errors import InputError, readable, warn
 from jaxurban.io.read.ephemerides import (
     J2000_S,
     WEEK_S,
-    check_scale,
+    check_time_scale,
     library,
     loaded,
     utc_of,
@@ -92,8 +92,8 @@ def read_log(
 
     Args:
       file: of the log; its content decides what it is, but .csv and .parquet are tables.
-      reference: places of the antenna, see `read_track`; left out, those of the file: fixes of NMEA and GnssLogger, of
-        RINEX the approximate position of its header.
+      reference: places of the antenna, see `read_reference`; left out, those of the file: fixes of NMEA and GnssLogger,
+        of RINEX the approximate position of its header.
 
     Returns:
       A row an epoch and satellite, with the columns ``utc``, ``lon_deg``, ``lat_deg``, ``height_m`` (ellipsoidal) if it
@@ -124,7 +124,7 @@ def read_log(
             return None
         rows, track = reader(data.decode("utf-8", "replace"), what)
     if reference is not None:
-        return _placed(rows, read_track(reference), MATCH_S, what)
+        return _placed(rows, read_reference(reference), MATCH_S, what)
     if track.empty:
         raise InputError(f"{what} holds no place: give a table of the antenna's as the reference")
     if reader is _rinex:
@@ -170,7 +170,7 @@ def _placed(rows: pd.DataFrame, track: pd.DataFrame, within_s: float, what: str)
     return pairs.merge(rows).drop(columns=OBSERVED)
 
 
-def read_track(reference: str | Path | pd.DataFrame) -> pd.DataFrame:
+def read_reference(reference: str | Path | pd.DataFrame) -> pd.DataFrame:
     """Return the columns ``utc``, ``lon_deg``, ``lat_deg`` and ``height_m`` of a reference track.
 
     Its columns are named so, or ``lon``, ``longitude_deg``, ``lat``, ``latitude_deg``, ``ellipsoid_height_m``, and for
@@ -210,7 +210,9 @@ def _rinex(text: str, what: str) -> Heard:
         text = loaded("load_crinex", text)
     file = loaded("load_rinex_obs", text)
     header = file.header
-    check_scale(header.time_of_first_obs[1].abbrev if header.time_of_first_obs else "no time", what)
+    check_time_scale(
+        header.time_of_first_obs[1].abbrev if header.time_of_first_obs else "no time", what
+    )
     observables = []
     for number, epoch in enumerate(file.epochs):
         time = epoch.epoch

@@ -61,7 +61,7 @@ def resample_raster(raster: Raster, grid: Grid, method: Resampling = "nearest") 
     return values
 
 
-def values_at(
+def raster_values(
     raster: Raster, x: np.ndarray, y: np.ndarray, crs: str, method: Resampling
 ) -> np.ndarray:
     """Return a raster's values at places, NaN where it has none, as `resample_raster` takes them at cells' centres.

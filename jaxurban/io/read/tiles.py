@@ -13,7 +13,7 @@ from jaxurban.io.read.bodies import outlines_of
 from jaxurban.io.read.broken import BROKEN
 from jaxurban.io.read.citygml import read_citygml
 from jaxurban.io.read.cityjson import read_cityjson
-from jaxurban.io.read.outlines import Near, Outlines, joined
+from jaxurban.io.read.outlines import Near, Outlines, joined_outlines
 from jaxurban.io.read.sniff import (
     DATABASE,
     MOST_TIMES,
@@ -93,7 +93,7 @@ def read_tiles(
             "left out",
             GuessWarning,
         )
-    return joined(path, tables)
+    return joined_outlines(path, tables)
 
 
 def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[str, Path]]:

@@ -36,10 +36,10 @@ from jaxurban.report.figures.style import (
     add_colour_bar,
     bar_ticks,
     chart,
-    columns_of,
     inches,
     legend_columns,
     letter,
+    panel_columns,
     styled,
     tick_label,
     wrapped,
@@ -92,7 +92,7 @@ NOWHERE = np.empty(0, bool)
 LegendEntry = tuple[str, str] | Artist  # a name and its colour, or what is drawn
 
 
-class MapLayer(NamedTuple):
+class DrawnMap(NamedTuple):
     """One map as it is drawn.
 
     Attributes:
@@ -116,7 +116,7 @@ class MapPanel(NamedTuple):
     """
 
     title: str
-    layers: Sequence[MapLayer] = ()
+    layers: Sequence[DrawnMap] = ()
     foot: str = ""
     grid: Grid | None = None
     is_closed: np.ndarray = NOWHERE
@@ -248,7 +248,7 @@ def _size(grid: Grid, num: int, width_in: float, foot_in: float) -> Size:
       width_in: of all columns together, inches.
       foot_in: height of what stands below each panel, inches.
     """
-    num_cols = min(columns_of(num), int(width_in / MIN_WIDTH_IN))
+    num_cols = min(panel_columns(num), int(width_in / MIN_WIDTH_IN))
     num_rows = math.ceil(num / num_cols)
     tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
     height_in = max(MIN_HEIGHT_IN, MAX_HEIGHT_IN / num_rows - foot_in)
@@ -402,7 +402,7 @@ def mark_ends(
         mark.loc = AnchoredOffsetbox.codes[name]
 
 
-def draw_layers(spot: Axes, grid: Grid, layers: Sequence[MapLayer], is_closed: np.ndarray) -> None:
+def draw_layers(spot: Axes, grid: Grid, layers: Sequence[DrawnMap], is_closed: np.ndarray) -> None:
     """Draw maps into axes, later ones over earlier ones, and hatch what is closed.
 
     Layers become one image before it is scaled to the page, so that thin streets and small roofs blend
@@ -438,14 +438,14 @@ def draw_layers(spot: Axes, grid: Grid, layers: Sequence[MapLayer], is_closed: n
         hatched.set(edgecolor=BLOCKED_COLOUR, linewidth=0)
 
 
-def classes_layer(values: np.ndarray, colours: Sequence[str]) -> MapLayer:
+def classes_layer(values: np.ndarray, colours: Sequence[str]) -> DrawnMap:
     """Return class numbers 0, 1, ... as a layer with a colour each; negative ones are not drawn."""
     cmap = ListedColormap(list(colours)).with_extremes(under=(0, 0, 0, 0))
     norm = BoundaryNorm(np.arange(len(colours) + 1) - 0.5, len(colours))
-    return MapLayer(values, Colours(cmap, norm))
+    return DrawnMap(values, Colours(cmap, norm))
 
 
-def flat_layer(is_drawn: np.ndarray, colour: str) -> MapLayer:
+def flat_layer(is_drawn: np.ndarray, colour: str) -> DrawnMap:
     """Return the cells of a mask as a layer of one colour."""
     return classes_layer(np.where(is_drawn, np.int8(0), np.int8(-1)), [colour])
 

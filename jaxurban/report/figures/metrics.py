@@ -30,7 +30,7 @@ from jaxurban.report.figures.frame import (
     GUESSED_ROOF_COLOUR,
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
-    MapLayer,
+    DrawnMap,
     MapPanel,
     availability_threshold,
     classes_layer,
@@ -70,7 +70,7 @@ def obstacle_patches(
     return patches
 
 
-def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
+def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> DrawnMap:
     """Return a layer of the obstacle cells at an altitude, which may lie between two altitudes of the maps."""
     return flat_layer(obstacles_at(maps, altitude_m), colour)
 
@@ -209,13 +209,13 @@ def values_of(
     return maps.m(name, altitude_m, time=time)
 
 
-def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None) -> MapLayer:
+def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None) -> DrawnMap:
     """Return a layer of a map at one altitude: free cells only, values cut at the upper end of their scale."""
     colours = metric_colours(maps, name)
     values = values_of(maps, name, altitude_m, time).astype(np.float32)
     values = np.minimum(values, np.float32(colours.norm.vmax))
     is_free = maps.is_free(altitude_m, "centre")
-    return MapLayer(np.where(is_free, values, np.float32(np.nan)), colours)
+    return DrawnMap(np.where(is_free, values, np.float32(np.nan)), colours)
 
 
 def altitudes_of(maps: MetricMaps, altitude_m: Altitudes) -> Sequence[float]:
@@ -277,7 +277,7 @@ def plot_metric(
         if TIME_OF_DAY in variable.dims:
             times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
         panels = [
-            MapPanel(day or "", [MapLayer(maps.m(name, time_of_day=day), colours)])
+            MapPanel(day or "", [DrawnMap(maps.m(name, time_of_day=day), colours)])
             for day in times_of_day
         ]
         heading = variable.heading
@@ -353,7 +353,7 @@ def _middle_of(values: np.ndarray, variable: Variable) -> str:
     if values.size == 0:
         return "no free cell"
     if variable.classes:
-        return f"{percent(values.mean(dtype=np.float64))} {variable.classes[1][0]}"
+        return f"{precise_percent(values.mean(dtype=np.float64))} {variable.classes[1][0]}"
     if np.issubdtype(variable.dtype, np.integer) or not variable.is_averaged:
         median = np.quantile(values, 0.5, method="higher")
         if not np.isfinite(median):
@@ -384,7 +384,7 @@ def plot_obstacles(
     for z in altitudes_of(maps, altitude_m):
         share = "no data"
         if has_data.any():
-            share = f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked"
+            share = f"{precise_percent(maps.m('obstacle', z)[has_data].mean())} blocked"
         drawn = np.where(obstacle_layer(maps, z).values == 0, group, -1)
         numbers.update(np.unique(drawn).tolist())
         obstacles = classes_layer(drawn, [*GROUP_COLOURS.values()])
@@ -409,7 +409,7 @@ def group_numbers(maps: MetricMaps) -> np.ndarray:
     return np.array([0, *GROUP_NUMBERS.values()])[np.asarray(maps.ds.get(ROOF_KIND, 0))]
 
 
-def percent(share: float) -> str:
+def precise_percent(share: float) -> str:
     """Return a share (0 to 1) as a percentage: whole, but with one decimal below 10 % and above 90 %.
 
     ``0 %`` and ``100 %`` stand only where they are exact; else it says ``< 0.1 %`` or ``> 99.9 %``.
@@ -449,7 +449,7 @@ def _class_figure(
         is_free = maps.is_free(z, "centre")
         share = (numbers[is_free] <= last).mean() if is_free.any() else 0.0
         drawn = classes_layer(np.where(is_free, numbers, -1), [colour for _, colour in classes])
-        text = f"{z:g} m  ·  {title.format(percent(share))}"
+        text = f"{z:g} m  ·  {title.format(precise_percent(share))}"
         panels.append(MapPanel(text, [drawn, obstacle_layer(maps, z)]))
     heading += ", by altitude above ground"
     panels, note = varied(panels, frame_note(maps, time))
@@ -549,7 +549,7 @@ def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
     ]
 
 
-def layers_above_zero(values: np.ndarray, colours: Colours) -> list[MapLayer]:
+def layers_above_zero(values: np.ndarray, colours: Colours) -> list[DrawnMap]:
     """Return the layers of a map on which 0 means nothing, as of people or roofs: such cells are drawn in white.
 
     Args:
@@ -558,11 +558,11 @@ def layers_above_zero(values: np.ndarray, colours: Colours) -> list[MapLayer]:
     """
     return [
         flat_layer(values == 0, EMPTY_COLOUR),
-        MapLayer(np.where(values > 0, values, np.float32(np.nan)), colours),
+        DrawnMap(np.where(values > 0, values, np.float32(np.nan)), colours),
     ]
 
 
-def roof_layers(maps: MetricMaps) -> list[MapLayer]:
+def roof_layers(maps: MetricMaps) -> list[DrawnMap]:
     """Return roof heights as they are drawn, white where there is no roof."""
     roof_m = maps.m("roof")
     return layers_above_zero(roof_m, replace(metric_colours(maps, "roof", roof_m), label=""))
@@ -587,13 +587,13 @@ def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
     if "terrain" in maps.ds:
         terrain_m = maps.m("terrain")
         low_m, high_m = ends_of(terrain_m)
-        ground = MapLayer(terrain_m, replace(metric_colours(maps, "terrain", terrain_m), label=""))
+        ground = DrawnMap(terrain_m, replace(metric_colours(maps, "terrain", terrain_m), label=""))
         panels.append(MapPanel(f"terrain, {low_m:.0f} to {high_m:.0f} m", [ground]))
 
     if "roof_guessed" in maps.ds:
         is_roof = roof_m > 0
         is_guessed = maps.m("roof_guessed") & is_roof
-        share = percent(is_guessed.sum() / max(is_roof.sum(), 1))
+        share = precise_percent(is_guessed.sum() / max(is_roof.sum(), 1))
         layers = [
             flat_layer(roof_m == 0, EMPTY_COLOUR),
             flat_layer(is_roof, OBSTACLE_COLOUR),

@@ -25,7 +25,7 @@ from jaxurban.report.figures.style import (
     step_up,
     styled,
 )
-from jaxurban.report.write import Figures, listed
+from jaxurban.report.write import Figures, joined_with_and
 from jaxurban.studies.montecarlo.analysis import range_names, weighted_rows
 
 SHARES = Colours(
@@ -127,7 +127,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame) -> Figure:
     """
     names = [str(name) for name in table if name in maps.metrics]
     labels = [maps.metrics[name].label for name in names]
-    heading = f"{listed(labels)} over the free cells"
+    heading = f"{joined_with_and(labels)} over the free cells"
     figure, axes = panels(len(table), heading, shares_y=True)
     bins = np.linspace(0, 1, 41)  # edges of 40 squares along each axis
 

@@ -26,7 +26,7 @@ from jaxurban.paths.plan import rules_on
 from jaxurban.report.figures.frame import (
     BLOCKED_COLOUR,
     ENDS,
-    MapLayer,
+    DrawnMap,
     MapPanel,
     draw_maps,
     frame_note,
@@ -80,7 +80,7 @@ POINTS_PER_IN = 72
 Paths = PlannedPath | Sequence[PlannedPath | None]
 
 
-class Place(NamedTuple):
+class CostChoice(NamedTuple):
     """Which map of the cost a path was planned on; without a time or a time of day the maps have none."""
 
     altitude_m: float
@@ -95,10 +95,10 @@ class _NamedPath(NamedTuple):
     name: str = ""
 
     @property
-    def place(self) -> Place:
+    def place(self) -> CostChoice:
         """The map of the cost that the path was planned on."""
         settings = self.path.settings
-        return Place(self.path.altitude_m, settings["time"], settings["time_of_day"])
+        return CostChoice(self.path.altitude_m, settings["time"], settings["time_of_day"])
 
 
 def paths_in(paths: Paths) -> list[PlannedPath]:
@@ -159,7 +159,7 @@ def plot_paths(
     planned = [each.path for each in named]
     if altitude_m is None:
         altitude_m = sorted({path.altitude_m for path in planned})
-    places: list[Place] = []
+    places: list[CostChoice] = []
     for z in altitudes_of(maps, altitude_m):
         places += _places_at(maps, z, planned, time, time_of_day)
     named_at = {place: [each for each in named if each.place == place] for place in places}
@@ -220,7 +220,7 @@ def _named(paths: Paths, names: Sequence[str] | None) -> list[_NamedPath]:
 
 
 def _cost_panel(
-    maps: MetricMaps, place: Place, named: Sequence[_NamedPath], has_time: bool
+    maps: MetricMaps, place: CostChoice, named: Sequence[_NamedPath], has_time: bool
 ) -> MapPanel:
     """Return a panel of the normalised cost, below which the outcome of each path stands.
 
@@ -235,7 +235,7 @@ def _cost_panel(
         title = joined(title, time_said(place.time), by=" · ")
     foot = joined(
         "cost, length:" if named else "",
-        *(outcome_of(each.path, each.name) for each in named),
+        *(outcome_line(each.path, each.name) for each in named),
         by="\n",
     )
     is_closed = closed_at(maps, place, [each.path for each in named])
@@ -248,7 +248,7 @@ def _places_at(
     planned: Sequence[PlannedPath],
     time: str | None = None,
     time_of_day: str | None = None,
-) -> list[Place]:
+) -> list[CostChoice]:
     """Return the maps at an altitude that paths were planned on, each once; without such paths one map.
 
     Args:
@@ -261,18 +261,18 @@ def _places_at(
     at_altitude = [path for path in planned if path.altitude_m == altitude_m]
     places = dict.fromkeys(_NamedPath(path).place for path in at_altitude)
     day = time_of_day or next(iter(maps.times_of_day), None)
-    return list(places) or [Place(altitude_m, time or maps.default_time, day)]
+    return list(places) or [CostChoice(altitude_m, time or maps.default_time, day)]
 
 
 def cost_layers(
     maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None
-) -> list[MapLayer]:
+) -> list[DrawnMap]:
     """Return the normalised cost (0: best free cell, 1: worst) and, over it, the obstacles, as layers of a picture."""
     norm = maps.normalised(altitude_m, time=time, time_of_day=time_of_day)
-    return [MapLayer(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
+    return [DrawnMap(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
 
 
-def closed_at(maps: MetricMaps, place: Place, paths: Sequence[PlannedPath]) -> np.ndarray:
+def closed_at(maps: MetricMaps, place: CostChoice, paths: Sequence[PlannedPath]) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells with data that are closed to each path of a panel, and no obstacle.
 
     Args:
@@ -397,7 +397,7 @@ def path_entries(
       lanes: whether paths are drawn side by side where they share cells.
     """
     lines = [
-        Line2D([], [], color=colour, linewidth=2.5, label=shortened(name))
+        Line2D([], [], color=colour, linewidth=2.5, label=legend_name(name))
         for name, colour in colours.items()
     ]
     num_found = [sum(path.status.has_path for path in paths) for paths in paths_at]
@@ -408,7 +408,7 @@ def path_entries(
     return lines
 
 
-def outcome_of(path: PlannedPath, name: str) -> str:
+def outcome_line(path: PlannedPath, name: str) -> str:
     """Return a line of text: a path's name, with its cost and its length in km, or with its status without a route.
 
     Args:
@@ -416,9 +416,9 @@ def outcome_of(path: PlannedPath, name: str) -> str:
       name: what pictures call it.
     """
     if not path.status.has_path:
-        return f"{shortened(name)}: {path.status.value}"
+        return f"{legend_name(name)}: {path.status.value}"
     cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
-    return f"{shortened(name)}: {cost}, {path.length_m / 1000:.2f} km"
+    return f"{legend_name(name)}: {cost}, {path.length_m / 1000:.2f} km"
 
 
 def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:
@@ -427,7 +427,7 @@ def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:
         mark_ends(panel, path.xy_m[0], path.xy_m[-1])
 
 
-def shortened(name: str) -> str:
+def legend_name(name: str) -> str:
     """Return a name of at most `MOST_LETTERS` letters, its end cut off where it is longer."""
     return name if len(name) <= MOST_LETTERS else f"{name[: MOST_LETTERS - 1]}…"
 

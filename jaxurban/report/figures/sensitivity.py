@@ -22,7 +22,7 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
 from jaxurban.report.figures.paths import (
     EDGE_PT,
-    Place,
+    CostChoice,
     closed_at,
     cost_layers,
     draw_ends,
@@ -37,7 +37,7 @@ from jaxurban.report.figures.style import (
     show_plain_log,
     styled,
 )
-from jaxurban.report.write import Figures, Look, listed
+from jaxurban.report.write import Figures, Look, joined_with_and
 from jaxurban.studies.weights.study import Sensitivity
 
 MOST_ROUTES = 10  # along the range of one weight
@@ -122,7 +122,7 @@ def plot_breakpoint_routes(result: Sensitivity) -> Figure:
     settings = result.route.settings
     z = result.route.altitude_m
     day = settings["time_of_day"]
-    place = Place(z, settings["time"], day)
+    place = CostChoice(z, settings["time"], day)
     layers = cost_layers(result.maps, *place)
     is_closed = closed_at(result.maps, place, [result.route])
     panels_of = []
@@ -183,7 +183,7 @@ def plot_pareto(result: Sensitivity) -> Figure:
     names = result.front.objectives
     gradient = result.cost["gradient"]
     pairs = list(combinations(names, 2))
-    figure, axes = panels(len(pairs), f"Best trade-offs between {listed(names)}")
+    figure, axes = panels(len(pairs), f"Best trade-offs between {joined_with_and(names)}")
     for panel, (across, up) in zip(axes, pairs, strict=True):
         points = result.front.points
         panel.plot(points[across], points[up], "o", color=INK, markersize=3.5, label="best routes")

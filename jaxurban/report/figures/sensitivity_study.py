@@ -31,7 +31,7 @@ DOT_GAP = 0.18  # between dots of two cities, as a share of the distance between
 ROW_IN = 0.3  # height of a weight's row
 
 
-def study_figures(tables: Mapping[str, pd.DataFrame], wrong: float) -> Figures:
+def sensitivity_study_figures(tables: Mapping[str, pd.DataFrame], wrong: float) -> Figures:
     """Return what draws each figure, by file name."""
     return {
         "regret": partial(plot_regret, tables["summary"], wrong),

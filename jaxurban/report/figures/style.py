@@ -187,7 +187,7 @@ def bare(figure: Figure) -> Figure:
     return figure
 
 
-def columns_of(num: int) -> int:
+def panel_columns(num: int) -> int:
     """Return how many of several panels stand side by side."""
     return 2 if num == 4 else min(num, 3)
 
@@ -204,7 +204,7 @@ def panels(
       shares_y: whether the panels have one scale, labelled at the left of each row.
     """
     # The panels of full rows; those that are too many are removed.
-    num_cols = columns_of(num)
+    num_cols = panel_columns(num)
     num_rows = math.ceil(num / num_cols)
     figure = chart(num_rows * (height_in + TITLE_IN), heading)
     axes = figure.subplots(num_rows, num_cols, sharey=shares_y, squeeze=False).ravel().tolist()

@@ -10,7 +10,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.report.figures.frame import (
     BLOCKED_COLOUR,
     ENDS,
-    MapLayer,
+    DrawnMap,
     MapPanel,
     draw_maps,
     frame_note,
@@ -88,7 +88,7 @@ def plot_routes(
     obstacles = obstacle_layer(maps, cost_map.altitude_m, BLOCKED_COLOUR)
     has_data = maps.ds["has_data"].values
     is_closed = ~cost_map.is_free & (obstacles.values < 0) & has_data
-    shown = MapLayer(np.where(has_data, cost, np.nan), colours)
+    shown = DrawnMap(np.where(has_data, cost, np.nan), colours)
     panels_of = [MapPanel(title, [shown, obstacles], is_closed=is_closed)]
     heading = f"{given.capitalize()}s and routes under the fitted weights"
     figure, (panel,) = draw_maps(

@@ -1,7 +1,7 @@
 """What a Monte Carlo benchmark says: tables, each a DataFrame that a reader can check.
 
-All but `complementarity`, which is of the maps, take the rows joined with their instances (`joined`). A path's *ratio*
-is its cost over the cheapest one that any planner found for the same instance at the same altitude, under the
+All but `complementarity`, which is of the maps, take the rows joined with their instances (`with_instances`). A path's
+*ratio* is its cost over the cheapest one that any planner found for the same instance at the same altitude, under the
 benchmark's cost model.
 """
 
@@ -30,7 +30,7 @@ TILE_M = 500.0  # cells nearer than this are much alike, so whole tiles are draw
 FEWEST = 0.005  # share of cells where GPS is poor, below which nothing is said about them
 
 
-def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
+def with_instances(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
     """Return every row with its instance's columns and ``has_path``, ``is_joined``, ``ratio`` and ``range``.
 
     ``is_joined`` says that some path joins the pair of places: a planner found one, or no planner proved that there is
@@ -62,7 +62,7 @@ def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def facts_of(table: pd.DataFrame) -> list[str]:
+def fact_columns(table: pd.DataFrame) -> list[str]:
     """Return the columns of a path's length and of the mean of each metric along it."""
     return ["length_m", *(name for name in map(str, table.columns) if name.startswith("m_"))]
 
@@ -86,7 +86,7 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     pairs with the status optimal.
 
     Args:
-      table: from `joined`; only runs of the weighted objective count.
+      table: from `with_instances`; only runs of the weighted objective count.
     """
     rows = weighted_rows(table)
     rows = rows.assign(
@@ -110,7 +110,7 @@ def costs(table: pd.DataFrame) -> pd.DataFrame:
     ratio of at most 1.01.
 
     Args:
-      table: from `joined`; only paths of the weighted objective count.
+      table: from `with_instances`; only paths of the weighted objective count.
     """
     rows = weighted_rows(table)
     rows = rows[rows.has_path]
@@ -131,7 +131,7 @@ def usage(table: pd.DataFrame) -> pd.DataFrame:
     number. A planner that solves fewer than four joined pairs in five is left out, since it solves the easy ones.
 
     Args:
-      table: from `joined`.
+      table: from `with_instances`.
     """
     # The planners that solve most joined pairs, and the instances and altitudes at which all of their runs have a path.
     solved = weighted_rows(table[table.is_joined]).groupby("planner").has_path.mean()
@@ -140,7 +140,7 @@ def usage(table: pd.DataFrame) -> pd.DataFrame:
     result = table[table.has_path]
     result = result[result.groupby(KEY).has_path.transform("size") == num_runs]
     runs = result.groupby(["planner", "objective", "altitude_m"])
-    means = runs[[*facts_of(result), "detour"]].mean()
+    means = runs[[*fact_columns(result), "detour"]].mean()
     return means.assign(instances=runs.size()).reset_index()
 
 
@@ -151,7 +151,7 @@ def times(table: pd.DataFrame) -> pd.DataFrame:
     expansions nor samples.
 
     Args:
-      table: from `joined`; only runs of the weighted objective count.
+      table: from `with_instances`; only runs of the weighted objective count.
     """
     rows = weighted_rows(table).astype({"num_expanded": float, "num_samples": float})
     grouped = rows[rows.elapsed_s.notna()].groupby(["planner", "altitude_m"])
@@ -173,7 +173,7 @@ def paired(table: pd.DataFrame) -> pd.DataFrame:
     ``only_second`` count pairs that one planner alone solved. ``time_ratio`` is the median ratio of seconds.
 
     Args:
-      table: from `joined`; only runs of the weighted objective count.
+      table: from `with_instances`; only runs of the weighted objective count.
     """
     # Costs and seconds, a row per pair of places and a column per planner.
     rows = weighted_rows(table)
@@ -215,14 +215,14 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
     less weighted. Each has its 95 % interval over instances. The table is empty where no planner ran both ways.
 
     Args:
-      table: from `joined`.
+      table: from `with_instances`.
     """
     # The planners that ran under both objectives, and the pairs of places that they solved under both, by altitude.
     result = []
     both_ways = set(table[table.objective == DISTANCE].planner) & set(weighted_rows(table).planner)
     for planner in sorted(both_ways):
         rows = table[(table.planner == planner) & table.has_path].set_index([*KEY, "objective"])
-        wide = rows[["cost", *facts_of(rows)]].unstack("objective")
+        wide = rows[["cost", *fact_columns(rows)]].unstack("objective")
         for altitude_m, runs in wide.groupby(level="altitude_m"):
             has_both = runs["cost"].notna().all(axis=1) & (runs["cost"] > 0).all(axis=1)
             pairs = runs[has_both]
@@ -267,7 +267,7 @@ def choices(table: pd.DataFrame) -> pd.DataFrame:
     within 5 % of the best.
 
     Args:
-      table: from `joined`; only runs of the weighted objective count.
+      table: from `with_instances`; only runs of the weighted objective count.
     """
     rows = weighted_rows(table)
     rows = rows[rows.is_joined]

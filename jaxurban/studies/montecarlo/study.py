@@ -18,7 +18,7 @@ from jaxurban.io.samples import is_sample
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, records_of, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.run import grid_of
+from jaxurban.maps.run import scenario_grid
 from jaxurban.maps.scenario import OF_SAMPLING, Scenario, Study
 from jaxurban.paths.choices import RulesChoice
 from jaxurban.paths.constraints import Constraints
@@ -77,7 +77,7 @@ class BenchmarkResult(Result):
     @property
     def table(self) -> pd.DataFrame:
         """The rows with their instances, ``has_path``, ``is_joined`` and ``ratio``."""
-        return analysis.joined(self.rows, self.instances)
+        return analysis.with_instances(self.rows, self.instances)
 
 
 @typed
@@ -247,7 +247,7 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
 
     # Files are read as far as the cells of the scenario's first resolution reach.
     source = named or str(scenario.buildings.source)
-    grid = grid_of(scenario)
+    grid = scenario_grid(scenario)
     if is_sample(source):
         base = base_map_source(source)
         return None if base is None else land_cover_in(base, grid.crs, grid.bounds_m)

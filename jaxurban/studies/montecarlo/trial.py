@@ -94,7 +94,7 @@ class Benchmark(RouteJob):
         Raises:
           InputError: a place that is not a free cell.
         """
-        start, goal, weights = located(cost_map, instance)
+        start, goal, weights = ends_and_weights(cost_map, instance)
         shortest = cost_map.shortest.between(start, goal)
         problems = {DISTANCE: shortest}
         if any(objective == WEIGHTED for _, objective in runs):
@@ -165,7 +165,7 @@ def free_cell(grid: Grid, is_free: np.ndarray, instance: Row, end: str) -> Cell:
     return row, col
 
 
-def located(cost_map: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
+def ends_and_weights(cost_map: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
     """Return the start, the goal (cells, row and column) and the weights ``[K]`` of an instance.
 
     Args:

@@ -104,7 +104,7 @@ def _judge(rows: pd.DataFrame, is_open: pd.Series, name: str, mask_deg: float) -
     )
 
 
-def skies_of(rows: pd.DataFrame, drive: Drive) -> tuple[PlaceSky, ...]:
+def example_skies(rows: pd.DataFrame, drive: Drive) -> tuple[PlaceSky, ...]:
     """Return the skies in the middle of the blocks of least and of most agreement.
 
     A block agrees by the share of its judged rows that are seen and strong, or neither. Blocks with few judged rows do

@@ -16,15 +16,14 @@ from jaxurban.io.read.receivers import read_log
 from jaxurban.io.read.tracks import AZIMUTH, CN0, LAT, LON, UTC
 from jaxurban.io.samples import log_of
 from jaxurban.knowledge import Guesses
-from jaxurban.maps.run import grid_of
+from jaxurban.maps.run import scenario_grid
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Report
 from jaxurban.satellites.rule import FARTHEST_MARGIN_M
 from jaxurban.satellites.sight import Sight
 from jaxurban.satellites.track import Track
-from jaxurban.satellites.walk import LEG_CELLS, Ground
-from jaxurban.studies.receiver.logs import ReceiverLog, read_receiver_log
-from jaxurban.studies.receiver.logs import log_of as table_log
+from jaxurban.satellites.walk import LEG_CELLS, LegSurface
+from jaxurban.studies.receiver.logs import ReceiverLog, read_receiver_log, table_log
 from jaxurban.studies.receiver.rinex import with_navigation
 from jaxurban.studies.receiver.satellites import known_of, with_directions
 from jaxurban.studies.receiver.settings import EVERYWHERE, ReceiverSettings
@@ -70,8 +69,8 @@ class Drive:
     ) -> "Drive":
         """Return the drive of a log through the city of a scenario; arguments and errors as of `validate`."""
         logged = _read(scenario, log, navigation, reference)
-        grid = grid_of(scenario)
-        track = track_of(logged.name, logged.epochs, grid, settings.sky_step_s)
+        grid = scenario_grid(scenario)
+        track = drive_track(logged.name, logged.epochs, grid, settings.sky_step_s)
         report("read")
         sight = Sight.of_scenario(scenario, grid)
         guesses = sight.city.guesses
@@ -127,7 +126,7 @@ class Drive:
 
     def grounds(
         self, rows: pd.DataFrame, rays: Rays, moved_m: float = 0.0, scale: float = 1.0
-    ) -> Iterator[tuple[np.ndarray, Ground]]:
+    ) -> Iterator[tuple[np.ndarray, LegSurface]]:
         """Yield the numbers of the rows of each leg of the track, and the ground around that leg.
 
         The ground around the whole track may not fit into memory.
@@ -143,11 +142,11 @@ class Drive:
         antenna_m = self.settings.antenna_height_m
         for leg in self.track.legs(self.grid, LEG_CELLS):
             box = self.track.box(self.grid, leg)
-            ground = Ground.around(self.city, box, moved_m, reach_m, antenna_m)
+            ground = LegSurface.around(self.city, box, moved_m, reach_m, antenna_m)
             yield np.flatnonzero(rows.epoch.isin(leg)), ground
 
 
-def track_of(name: str, epochs: pd.DataFrame, grid: Grid, sky_step_s: float) -> Track:
+def drive_track(name: str, epochs: pd.DataFrame, grid: Grid, sky_step_s: float) -> Track:
     """Return the track of a log's epochs; all epochs within a window of ``sky_step_s`` seconds share one sky.
 
     The first window begins at the first epoch. A window has the sky of its middle, and none if it has no epoch.

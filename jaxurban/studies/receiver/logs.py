@@ -84,13 +84,13 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
         values that no receiver gives or that are of another unit, or more rows than `MOST_ROWS`.
     """
     if isinstance(source, pd.DataFrame):
-        return log_of(source, "the table")
-    return log_of(
+        return table_log(source, "the table")
+    return table_log(
         read_table(located(source), "receiver log", categories=(UTC, SATELLITE)), str(source)
     )
 
 
-def log_of(table: pd.DataFrame, name: str) -> ReceiverLog:
+def table_log(table: pd.DataFrame, name: str) -> ReceiverLog:
     """Return the log that a table holds; columns and errors as of `read_receiver_log`, ``name`` is that of its file."""
     what = f"the receiver log {name!r}"
     table = renamed(table)

@@ -8,7 +8,7 @@ import pandas as pd
 
 from jaxurban.io.read.orbits import Orbits, look_angles, read_orbits, rinex_name
 from jaxurban.io.read.tracks import AZIMUTH, CN0, ELEVATION, HEIGHT, LAT, LON, SATELLITE, UTC
-from jaxurban.studies.receiver.logs import ReceiverLog, log_of
+from jaxurban.studies.receiver.logs import ReceiverLog, table_log
 
 NO_MESSAGE = "no navigation message of the time"
 LOWEST_HEARD_DEG = 5.0  # lowest elevation of a satellite that has rows in a log
@@ -50,7 +50,7 @@ def with_navigation(table: pd.DataFrame, navigation: str | Path, name: str) -> R
     left_out |= dict.fromkeys(
         angles[SATELLITE][~is_heard], "no C/N0 of L1, E1 or B1 in the observations"
     )
-    return replace(log_of(rows, name), left_out=dict(sorted(left_out.items())))
+    return replace(table_log(rows, name), left_out=dict(sorted(left_out.items())))
 
 
 def angles_along(orbits: Orbits, track: pd.DataFrame) -> pd.DataFrame:

@@ -19,8 +19,8 @@ from jaxurban.knowledge import Caution, Guesses
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, Report, reporting
 from jaxurban.satellites.track import NUM_VISIBLE
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, columns_of
-from jaxurban.studies.receiver.agreement import PlaceSky, judged_rows, skies_of, strong_dbhz
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, interval_columns
+from jaxurban.studies.receiver.agreement import PlaceSky, example_skies, judged_rows, strong_dbhz
 from jaxurban.studies.receiver.drive import Drive
 from jaxurban.studies.receiver.logs import ReceiverLog
 from jaxurban.studies.receiver.satellites import NUM_HEARD, counted
@@ -123,7 +123,7 @@ class ReceiverValidation(Result):
         }
 
     def _interval(self, name: str) -> str:
-        value, low, high = self.score()[columns_of(name)]
+        value, low, high = self.score()[interval_columns(name)]
         if np.isnan(value):
             return "not defined"
         text = f"{value:.2f}"
@@ -167,7 +167,7 @@ def validate(
       settings: how the two are set beside each other.
       navigation: of such a file the satellites' orbits, broadcast RINEX or what ``[gps] orbits`` takes; they add the
         satellites that the receiver did not hear. Left out, NMEA's own directions, else the scenario's orbits.
-      reference: places of the antenna, as a table or its file (`jaxurban.io.read.receivers.read_track`); left out,
+      reference: places of the antenna, as a table or its file (`jaxurban.io.read.receivers.read_reference`); left out,
         those of the log.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
@@ -213,7 +213,7 @@ def validation_of(drive: Drive, scenario: Scenario, report: Report) -> ReceiverV
         epochs=epochs,
         rows=rows,
         scores=score_table(rows, drive.settings.seed),
-        skies=skies_of(rows, drive),
+        skies=example_skies(rows, drive),
         strong_dbhz=strong_dbhz(rows.cn0_dbhz[rows.is_judged]),
         attribution=drive.city.attribution,
         guesses=drive.guesses,

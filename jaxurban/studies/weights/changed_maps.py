@@ -20,19 +20,19 @@ from jaxurban.io.tables import ROWS_FILE, RowStore, read_table
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.run import tasks_of as maps_tasks_of
+from jaxurban.maps.run import tasks_of
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.sources import scenario_of
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.uncertain_heights import perturbed_cities
-from jaxurban.paths.rows import Source, solve_here, tasks_of
+from jaxurban.paths.rows import Source, runs_to_do, solve_here
 from jaxurban.progress import LOG, Report
 from jaxurban.studies.weights.cities import Cities, in_order
 from jaxurban.studies.weights.routes import (
     ROUTE_KEY,
     OnChangedMaps,
     SensitivityStudySettings,
-    row_columns,
+    typed_columns,
 )
 
 PARAMETER_FACTORS = (0.5, 2.0)
@@ -95,14 +95,14 @@ def add_changed_rows(
                     cost_model=settings.cost_model,
                     constraints=settings.constraints,
                 )
-                lacking = tasks_of(of_city, job, stores[kind])
+                lacking = runs_to_do(of_city, job, stores[kind])
                 if lacking:
                     made = _made(changed).with_obstacles(maps.obstacles)
                     rows = solve_here(lacking, {city: made}, job)
                     stores[kind].add(list(chain.from_iterable(rows)))
     finally:
         for store in stores.values():
-            store.save(row_columns(store.rows))
+            store.save(typed_columns(store.rows))
     tables = {
         kind: in_order(read_table(store.file, "rows of changed maps"), cities.maps)
         for kind, store in stores.items()
@@ -208,7 +208,7 @@ def _map_task(source: Source, maps: MetricMaps, scenario: Scenario | None) -> Ma
     with warnings.catch_warnings(
         action="ignore", category=GuessWarning
     ):  # reported when the maps were made
-        tasks = maps_tasks_of(scenario)
+        tasks = tasks_of(scenario)
     for task in tasks:
         if task.region == maps.grid and set(maps.metrics) == set(task.metrics):
             return task

@@ -19,7 +19,7 @@ from jaxurban.paths.rows import RouteJob, Run
 from jaxurban.planners.astar import astar
 from jaxurban.studies.demonstrations import overlap_of
 from jaxurban.studies.montecarlo.sampling import KEY
-from jaxurban.studies.montecarlo.trial import located
+from jaxurban.studies.montecarlo.trial import ends_and_weights
 from jaxurban.studies.queries import RouteQuery, outcomes_of, query_between
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import nearest_breakpoints
@@ -172,7 +172,7 @@ class SensitivityStudySettings(RouteJob):
         return [facts | {"num_plans": pool.num_plans + 1, "elapsed_s": elapsed_s}]
 
 
-def row_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+def typed_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """Return the columns of rows with their types; a metric that some maps lack has no number there.
 
     For every route: ``status`` and ``note``; ``cost`` and the outcomes (`outcomes_of`) of the cheapest route under the
@@ -198,7 +198,7 @@ def query_of(cost_map: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
     Raises:
       InputError: a place that is not free, or both in one cell.
     """
-    start, goal, weights = located(cost_map, instance)
+    start, goal, weights = ends_and_weights(cost_map, instance)
     return query_between(cost_map, start, goal, str(instance["instance"])), weights
 
 

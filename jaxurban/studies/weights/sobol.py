@@ -20,7 +20,7 @@ from scipy import special
 
 from jaxurban.checks import at_least, one_of
 from jaxurban.errors import InputError
-from jaxurban.studies.bootstrap import reach_of
+from jaxurban.studies.bootstrap import interval_reach
 from jaxurban.studies.queries import outcomes_of
 from jaxurban.studies.route_pool import RoutePool, draw_pairs, mean_and_slope
 from jaxurban.studies.weights.breakpoints import OnPlans
@@ -195,7 +195,7 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
 
     # SALib's intervals are those of the normal law, and ours those of few samples.
     num_samples = len(values) // (len(table) + 2)
-    wider = reach_of(num_samples) / special.ndtri((1 + CONFIDENCE) / 2)
+    wider = interval_reach(num_samples) / special.ndtri((1 + CONFIDENCE) / 2)
     return table.assign(
         first=result["S1"],
         first_ci=result["S1_conf"] * wider,
