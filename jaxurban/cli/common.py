@@ -4,7 +4,7 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial, wraps
@@ -18,6 +18,7 @@ from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
 from jaxurban.io.stored import stored_maps
 from jaxurban.paths.ceiling import CEILING_M
+from jaxurban.paths.export.suffixes import PICTURES
 from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.route_report import OverflownDensity
     from jaxurban.paths.rows import MapsFolder
+    from jaxurban.report.write import Output
     from jaxurban.settings import CostKind, ObstacleRule, Preset, UnknownHeights
 
 StudyResult = TypeVar("StudyResult", bound="Result")
@@ -659,6 +661,27 @@ def outcome_of(rows: "pd.DataFrame", no_route: str) -> tuple[dict[Any, int], Exi
         return statuses, ExitCode.DONE, ""
     LOG.warning(f"warning: {no_route}")
     return statuses, ExitCode.NO_PATH, no_route
+
+
+def write_outputs(
+    files: Iterable[Path], picture: "Output", other: "Output", cautions: Iterable[str]
+) -> None:
+    """Write the files of a command and log them, and then what to be cautious of.
+
+    Args:
+      files: to write.
+      picture: what those hold that end in a picture's suffix.
+      other: what the others hold.
+      cautions: sentences.
+    """
+    from jaxurban.report.write import save
+
+    for file in files:
+        is_picture = file.suffix.lower() in PICTURES
+        save(file.parent, {file.name: picture if is_picture else other})
+        LOG.info(f"wrote {file}")
+    for sentence in cautions:
+        LOG.info(sentence)
 
 
 def print_json(

@@ -15,9 +15,8 @@ from jaxurban.cli.common import (
     LONLAT,
     RESOLUTION,
     print_json,
+    write_outputs,
 )
-from jaxurban.paths.export.suffixes import PICTURES
-from jaxurban.progress import LOG
 
 
 @click.command()
@@ -44,15 +43,9 @@ def return_command(
     from jaxurban.maps.saving import open_maps
     from jaxurban.paths.return_altitude import return_altitude
     from jaxurban.report.figures.home import plot_return
-    from jaxurban.report.write import save
 
     home = return_altitude(open_maps(folder, resolution_m), **options)
-    for file in files:
-        is_picture = file.suffix.lower() in PICTURES
-        save(file.parent, {file.name: partial(plot_return, home) if is_picture else home.save})
-        LOG.info(f"wrote {file}")
-    for caution in home.cautions:
-        LOG.info(caution)
+    write_outputs(files, partial(plot_return, home), home.save, home.cautions)
     if as_json:
         print_json(home.figures)
     else:

@@ -26,6 +26,7 @@ from jaxurban.cli.common import (
     check_route,
     grouped_options,
     print_json,
+    write_outputs,
 )
 from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath
     from jaxurban.paths.route_report import OverflownDensity, RouteReport
     from jaxurban.paths.when import Departures
-    from jaxurban.settings import MissionEnd, Objective
+    from jaxurban.settings import MissionEnd, Objective, OnGround
 
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
 NOT_WHEN = (
@@ -113,6 +114,8 @@ class RouteFiles(NamedTuple):
     """The files that a route is written to, and how; what is not asked for is None or False.
 
     Attributes:
+      profile: a picture of the route by its length, or of the strip of all times.
+      is_when: a route is planned at every time of the maps, and files are its table.
       files: in the format that their names end in.
       simplify_m: how far straight legs may lie from the path.
       end: how a mission ends.
@@ -120,11 +123,18 @@ class RouteFiles(NamedTuple):
       from_roof: a mission takes off from the roof at the start.
     """
 
+    profile: Path | None
+    is_when: bool
     files: tuple[Path, ...]
     simplify_m: float | None
     end: "MissionEnd | None"
     fence_roofs_m: float | None
     from_roof: bool
+
+    @property
+    def suffixes(self) -> set[str]:
+        """The ends of the files' names, in lower case."""
+        return {file.suffix.lower() for file in self.files}
 
 
 @click.command()
@@ -207,17 +217,19 @@ class RouteFiles(NamedTuple):
     ),
 )
 @CORRIDOR
-@click.option(
-    "--profile",
-    type=PATH,
-    help="Write a picture (.png, .pdf or .svg) of heights, metrics and clearance along the route.",
-)
-@FLAG(
-    "--when", "is_when", help="Plan at every time of the maps; -o takes a table, --profile a strip."
-)
 @grouped_options(
     "outputs",
     RouteFiles,
+    click.option(
+        "--profile",
+        type=PATH,
+        help="Write a picture (.png, .pdf or .svg) of heights, metrics and clearance along the route.",
+    ),
+    FLAG(
+        "--when",
+        "is_when",
+        help="Plan at every time of the maps; -o takes a table, --profile a strip.",
+    ),
     FILES(help="File to write: .geojson, .kml, .gpx or .plan; repeatable."),
     METRES(
         "--simplify",
@@ -258,8 +270,6 @@ def plan_command(
     with_report: bool,
     flight: Settings,
     corridor: "Callable[..., OverflownDensity] | None",
-    profile: Path | None,
-    is_when: bool,
     outputs: RouteFiles,
     as_json: bool,
     **search: Any,
@@ -269,32 +279,19 @@ def plan_command(
     # search.
     flight = values_given(flight)
     with_report = with_report or bool(flight) or corridor is not None
-    _check_files(outputs, is_when)
-    if profile is not None:
-        check_picture(profile)
-    if is_when:  # options that are of one route alone are refused
-        how_written = outputs._replace(files=())
-        on_ground = search.pop("on_ground")
-        for_one_route = [with_report, search["refine"], search["exposure"], on_ground, *how_written]
-        if any(for_one_route) or levels is not None:
-            raise click.UsageError(NOT_WHEN)
-    else:  # a mission's ends must be free down to the ground
-        if search["on_ground"] is None:
-            is_mission = any(file.suffix.lower() == ".plan" for file in outputs.files)
-            search["on_ground"] = search["snap"] is not False and is_mission
-        if search["on_ground"] and outputs.from_roof:
-            search["on_ground"] = "goal"
+    _check_options(outputs, search, with_report or levels is not None)
+    search["on_ground"] = _on_ground(outputs, search)
     route_m = altitude_m if levels is None else None
     check_route(folder, route_m, time, rules["weights"], search)
+
+    # The maps, and what is chosen of them.
     maps = maps_of(folder).open()
-    if any(file.suffix.lower() in FLOWN for file in outputs.files):
-        rules = rules | {
-            "constraints": rules["constraints"].for_flight(maps.planning, rules["preset"])
-        }
-    which_map: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective}
+    if not outputs.suffixes.isdisjoint(FLOWN):
+        constraints = rules["constraints"].for_flight(maps.planning, rules["preset"])
+        rules = rules | {"constraints": constraints}
+    choice: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective, **rules}
 
     # Imported here: it takes a second or two.
-    from jaxurban.paths.closed import closed_note
     from jaxurban.paths.explain import explain, with_return_altitude
     from jaxurban.paths.finish import simplify
     from jaxurban.paths.plan import cost_map
@@ -302,83 +299,49 @@ def plan_command(
     from jaxurban.paths.when import when
 
     # A route at every time of the maps.
-    if is_when:
-        departures = when(
-            maps, [(start, goal)], altitude_m=altitude_m, **which_map, **rules, **search
-        )
-        return _write_departures(departures, maps, outputs.files, profile, as_json)
+    if outputs.is_when:
+        del search["on_ground"]
+        departures = when(maps, [(start, goal)], altitude_m=altitude_m, **choice, **search)
+        return _write_departures(departures, maps, outputs, as_json)
 
     # One route. In a volume its ends are longitude, latitude and altitude.
     if levels is not None:
         start = (*start, altitude_m)
         goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
     path_search = PathSearch.of(maps.planning, levels is not None, **search)
-    costs = cost_map(maps, levels or altitude_m, **which_map, **rules)
-    note = levels is None and closed_note(costs.maps, costs.constraints, altitude_m, **costs.when)
-    if note:
-        LOG.info(note)
+    costs = cost_map(maps, levels or altitude_m, **choice)
+    _log_closed(costs)
     planned = costs.planned(start, goal, path_search)
     if outputs.simplify_m:
         planned = simplify(planned, costs, outputs.simplify_m)
 
-    # Its report, which the profile needs too, its files, of which a mission may be refused, and its profile.
-    report = None
-    if planned.status.has_path and (with_report or profile is not None):
-        density = None
+    # Its report, which the profile needs too, its files, and what is printed.
+    report = density = None
+    if planned.status.has_path and (with_report or outputs.profile is not None):
         if corridor is not None:
             density = corridor(costs.maps, planned, time_of_day=time_of_day)
         report = explain(planned, costs.maps, density=density, **flight)
         report = with_return_altitude(report, planned, costs.maps)
-    refused = []
-    for file in outputs.files:
-        try:
-            _write(file, planned, costs, report if with_report else None, outputs)
-        except InputError as error:
-            refused.append(f"{file}: {error}")
-    if report is not None and profile is not None:
-        from jaxurban.report.figures.profile import save_profile
-
-        save_profile(planned, costs.maps, profile, report)
-        LOG.info(f"wrote {profile}")
-
-    # What is printed: one JSON object, or the facts and the report as tables.
-    facts = planned.to_dict()
-    if planned.status.has_path:
-        facts["cautions"] = planned.cautions
-        for sentence in planned.cautions:
-            if sentence not in planned.message:  # which is printed too
-                LOG.info(sentence)
-    if as_json and not refused:
-        if report is not None:
-            facts["report"] = report.to_dict()
-        for name in ("lonlat", "xy_m", "z_m"):
-            facts[name] = getattr(planned, name).tolist()
-        print_json(facts, planned.status.exit_code)
-    elif not as_json:
-        print(_path_table(facts))
-        if report is not None and with_report:
-            print(f"\n{report.table()}")
-    if refused:
-        raise InputError("; ".join(refused))
-    return planned.status.exit_code
+    return _write_route(planned, costs, report, with_report, outputs, as_json)
 
 
-def _check_files(outputs: RouteFiles, is_when: bool) -> None:
+def _check_options(outputs: RouteFiles, search: Settings, is_of_one_route: bool) -> None:
     """Refuse files and options that do not go together.
 
     Args:
       outputs: the files, and how they are written.
-      is_when: whether ``--when`` is given, whose files are tables.
+      search: keywords of the search.
+      is_of_one_route: whether a report or a volume is asked for, which ``--when`` has not.
 
     Raises:
-      InputError: a file of a format that holds no path.
-      UsageError: an option of missions without a mission, or ``--when`` with a file that is no table.
+      InputError: a file of a format that holds no path, or a profile that is no picture.
+      UsageError: an option of missions without a mission, or ``--when`` with a file that is no table or with an option
+        that is of one route alone.
     """
-    suffixes = [file.suffix.lower() for file in outputs.files]
-    if is_when:
+    if outputs.is_when:
         from jaxurban.io.tables import SUFFIXES
 
-        if not set(suffixes).issubset(SUFFIXES):
+        if not outputs.suffixes.issubset(SUFFIXES):
             raise click.UsageError(NOT_WHEN)
     else:
         for file in outputs.files:
@@ -389,15 +352,95 @@ def _check_files(outputs: RouteFiles, is_when: bool) -> None:
         "--from-roof": outputs.from_roof or None,
     }
     for option in values_given(of_missions):
-        if MISSION not in suffixes:
+        if MISSION not in outputs.suffixes:
             raise click.UsageError(f"{option} is of a mission: add -o FILE.plan")
+    if outputs.profile is not None:
+        check_picture(outputs.profile)
+    how_written = outputs._replace(profile=None, is_when=False, files=())
+    of_one_route = [search["refine"], search["exposure"], search["on_ground"], *how_written]
+    if outputs.is_when and (is_of_one_route or any(of_one_route)):
+        raise click.UsageError(NOT_WHEN)
+
+
+def _on_ground(outputs: RouteFiles, search: Settings) -> "OnGround":
+    """Return which ends of a path must be free down to the ground; where it is left open, those of a mission."""
+    on_ground = search["on_ground"]
+    if on_ground is None:
+        on_ground = search["snap"] is not False and MISSION in outputs.suffixes
+    return "goal" if on_ground and outputs.from_roof else on_ground
+
+
+def _log_closed(costs: "CostMap") -> None:
+    """Log which share of a map at one altitude is closed, if it is much."""
+    from jaxurban.paths.closed import closed_note
+
+    if costs.levels is None:
+        note = closed_note(costs.maps, costs.constraints, costs.altitude_m, **costs.when)
+        if note:
+            LOG.info(note)
+
+
+def _write_route(
+    planned: "PlannedPath",
+    costs: "CostMap",
+    report: "RouteReport | None",
+    with_report: bool,
+    outputs: RouteFiles,
+    as_json: bool,
+) -> int:
+    """Write the files of a route, print what is known of it, and return the exit code.
+
+    Args:
+      planned: the path.
+      costs: that it was planned on.
+      report: from `explain`, for the profile; None without a path.
+      with_report: whether the report is written and printed too.
+      outputs: the files.
+      as_json: print one JSON object instead of tables.
+
+    Raises:
+      InputError: files that were refused; the others are written.
+    """
+    # Files.
+    shown = report if with_report else None
+    refused = []
+    for file in outputs.files:
+        try:
+            _write(file, planned, costs, shown, outputs)
+        except InputError as error:
+            refused.append(f"{file}: {error}")
+    if report is not None and outputs.profile is not None:
+        from jaxurban.report.figures.profile import save_profile
+
+        save_profile(planned, costs.maps, outputs.profile, report)
+        LOG.info(f"wrote {outputs.profile}")
+
+    # What is printed: one JSON object, or the facts and the report as tables.
+    facts = planned.to_dict()
+    if planned.status.has_path:
+        facts["cautions"] = planned.cautions
+        for sentence in planned.cautions:
+            if sentence.kind != "search":  # those are in the message, which is printed too
+                LOG.info(sentence)
+    if as_json and not refused:
+        if report is not None:
+            facts["report"] = report.to_dict()
+        for name in ("lonlat", "xy_m", "z_m"):
+            facts[name] = getattr(planned, name).tolist()
+        print_json(facts, planned.status.exit_code)
+    elif not as_json:
+        print(_path_table(facts))
+        if shown is not None:
+            print(f"\n{shown.table()}")
+    if refused:
+        raise InputError("; ".join(refused))
+    return planned.status.exit_code
 
 
 def _write_departures(
     departures: "Departures",
     maps: "MetricMaps",
-    files: tuple[Path, ...],
-    profile: Path | None,
+    outputs: RouteFiles,
     as_json: bool,
 ) -> int:
     """Print and write the table of a route at every time, draw the strip, and return the exit code.
@@ -405,22 +448,15 @@ def _write_departures(
     Args:
       departures: from `jaxurban.when`.
       maps: that they were planned on.
-      files: of the table.
-      profile: file of the strip, a picture; None: it is not drawn.
+      outputs: files of the table, and of the strip as a picture.
       as_json: print one JSON object instead of the table.
     """
     from jaxurban.io.tables import records_of
     from jaxurban.report.figures.when import plot_when
-    from jaxurban.report.write import Output, save
 
-    outputs: dict[Path, Output] = dict.fromkeys(files, departures.table)
-    if profile is not None:
-        outputs[profile] = lambda: plot_when(departures, maps)
-    for file, output in outputs.items():
-        save(file.parent, {file.name: output})
-        LOG.info(f"wrote {file}")
-    for sentence in departures.cautions:
-        LOG.info(sentence)
+    files = filter(None, dict.fromkeys((*outputs.files, outputs.profile)))
+    strip = partial(plot_when, departures, maps)
+    write_outputs(files, strip, departures.table, departures.cautions)
 
     # What is printed: without a path at any time the exit code says so.
     facts = {name: fact for name, fact in departures.facts.items() if fact}

@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,11 +16,15 @@ from jaxurban.cli.common import (
     NUMBER,
     SOURCES,
     Point,
+    Settings,
     finite_records,
     print_json,
+    write_outputs,
 )
 from jaxurban.paths.export.suffixes import PICTURES
-from jaxurban.progress import LOG
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_ROWS = 40
 NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
@@ -75,62 +79,32 @@ def sky_command(
 
     They are seen from a place, or along a track, over the maps in DIR.
     """
-    from jaxurban.io.read.mission import read_flight
     from jaxurban.io.read.receivers import read_log
-    from jaxurban.io.read.routes import read_routes
-    from jaxurban.io.read.tracks import read_track
-    from jaxurban.io.tables import SUFFIXES
 
     # The sky at a place, or along a track; further options are arguments of both.
     _check_files(files, track)
     logged = None if track is None else read_log(track, reference)
-    result: Any
     if (by_satellite and track is None) or (reference is not None and logged is None):
         raise click.UsageError(
             "--by-satellite needs --track, and --reference a receiver's log there"
         )
+    result: Any
     if place is not None and track is None:
         if altitude_m is None or speed_m_s is not None:
             raise click.UsageError("--at needs --altitude, and takes no --speed")
         result = jaxurban.sky(folder, place, altitude_m, time=times or None, **source)
-    elif place is not None or track is None:
-        raise click.UsageError("give either --at, a place, or --track, a file")
-
-    # A table has a time and a place in each row, and maybe an altitude; the log of a flight has no altitude above the
-    # ground. A route is flown at a speed from the time of departure on.
-    elif logged is not None or track.suffix.lower() in SUFFIXES:
-        if times or speed_m_s is not None:
-            raise click.UsageError("a table has its own times: leave --time and --speed out")
-        places = read_track(track) if logged is None else logged
-        result = jaxurban.sky_along(folder, places, altitude_m, **source)
-    elif speed_m_s is None and not times:
-        result = jaxurban.sky_along(folder, read_flight(track), altitude_m, **source)
+        tables = {"table": result.table, "dops": result.dops}
+    elif track is not None and place is None:
+        way = _way_along(track, logged, altitude_m, times, speed_m_s)
+        result = jaxurban.sky_along(folder, **way, **source)
+        tables = {"table": result.satellites if by_satellite else result.table}
     else:
-        if speed_m_s is None or len(times) > 1:
-            raise click.UsageError("a route needs --speed, and one --time, of departure")
-        route = read_routes(track)[0]
-        lonlat = [(lon, lat) for lon, lat in route.lonlat.tolist()]
-        route_m = route.altitude_m if altitude_m is None else altitude_m
-        departure = times[0] if times else None
-        result = jaxurban.sky_along(
-            folder, lonlat, route_m, departure, speed_m_s=speed_m_s, **source
-        )
-    tables = {"table": result.satellites if by_satellite else result.table}
-    if track is None:
-        tables["dops"] = result.dops
+        raise click.UsageError("give either --at, a place, or --track, a file")
 
     # Files, and what is printed.
     from jaxurban.report.figures.sky import plot_sky
-    from jaxurban.report.write import Output, save
 
-    for file in files:
-        output: Output = tables["table"]
-        if file.suffix.lower() in PICTURES:
-            output = partial(plot_sky, result)
-        save(file.parent, {file.name: output})
-        LOG.info(f"wrote {file}")
-    for sentence in result.cautions:
-        LOG.info(sentence)
+    write_outputs(files, partial(plot_sky, result), tables["table"], result.cautions)
     if as_json:
         facts = {"facts": dict(result.facts), "cautions": result.cautions}
         print_json(facts | finite_records(tables))
@@ -143,6 +117,50 @@ def sky_command(
     for name, fact in result.facts.items():
         if fact:
             print(f"{name}: {fact}")
+
+
+def _way_along(
+    track: Path,
+    logged: "pd.DataFrame | None",
+    altitude_m: float | None,
+    times: tuple[str, ...],
+    speed_m_s: float | None,
+) -> Settings:
+    """Return where and when a track leads, as keywords of `jaxurban.sky_along`.
+
+    A table has a time and a place in each row, and maybe an altitude; the log of a flight has no altitude above the
+    ground. A route is flown at a speed from the time of departure on.
+
+    Args:
+      track: the file.
+      logged: its places and times if it is a receiver's log.
+      altitude_m, times, speed_m_s: as the options say.
+
+    Raises:
+      InputError: a file that cannot be read.
+      UsageError: a time or a speed that such a file does not take, or that is missing.
+    """
+    from jaxurban.io.read.mission import read_flight
+    from jaxurban.io.read.routes import read_routes
+    from jaxurban.io.read.tracks import read_track
+    from jaxurban.io.tables import SUFFIXES
+
+    if logged is not None or track.suffix.lower() in SUFFIXES:
+        if times or speed_m_s is not None:
+            raise click.UsageError("a table has its own times: leave --time and --speed out")
+        places = read_track(track) if logged is None else logged
+        return {"places": places, "altitude_m": altitude_m}
+    if speed_m_s is None and not times:
+        return {"places": read_flight(track), "altitude_m": altitude_m}
+    if speed_m_s is None or len(times) > 1:
+        raise click.UsageError("a route needs --speed, and one --time, of departure")
+    route = read_routes(track)[0]
+    return {
+        "places": [(lon, lat) for lon, lat in route.lonlat.tolist()],
+        "altitude_m": route.altitude_m if altitude_m is None else altitude_m,
+        "times": times[0] if times else None,
+        "speed_m_s": speed_m_s,
+    }
 
 
 def _check_files(files: tuple[Path, ...], track: Path | None) -> None:

@@ -23,15 +23,17 @@ from jaxurban.io.read.mission_parts import Autopilot
 ENOUGH_M = 0.01  # by which a return may be lower than it needs to be
 
 
-# What to type, with places for the altitude in metres and centimetres, and what switches the cone off.
-PARAMETERS: dict[Autopilot, tuple[str, str]] = {
+# Its program; what to type, with places for the altitude in metres and centimetres; and what switches the cone off.
+PARAMETERS: dict[Autopilot, tuple[str, str, str]] = {
     "ardupilot": (
-        "ArduCopter: RTL_ALT = {cm} (cm) up to 4.6, RTL_ALT_M = {m} (m) from 4.7 on",
+        "ArduCopter",
+        "RTL_ALT = {cm} (cm) up to 4.6, RTL_ALT_M = {m} (m) from 4.7 on",
         "RTL_CONE_SLOPE = 0",
     ),
-    "px4": ("PX4: RTL_RETURN_ALT = {m} (m)", "RTL_CONE_ANG = 0"),
+    "px4": ("PX4", "RTL_RETURN_ALT = {m} (m)", "RTL_CONE_ANG = 0"),
     "inav": (
-        "INAV: nav_rth_altitude = {cm} (cm, at most 65000), nav_rth_alt_mode = AT_LEAST, nav_rth_climb_first = ON",
+        "INAV",
+        "nav_rth_altitude = {cm} (cm, at most 65000), nav_rth_alt_mode = AT_LEAST, nav_rth_climb_first = ON",
         "",
     ),
 }
@@ -67,26 +69,26 @@ def low_returns(departures: pd.DataFrame, autopilot: Autopilot, altitude_m: floa
     return departures.assign(flown_m=flown_m)[is_low]
 
 
-def parameter_lines(
+def parameter_texts(
     altitude_m: float, autopilot: Autopilot = "unknown", departures: pd.DataFrame | None = None
-) -> list[str]:
-    """Return what to type into an autopilot for a return altitude, a sentence for each autopilot.
+) -> dict[str, str]:
+    """Return what to type into an autopilot for a return altitude, by the name of the autopilot's program.
 
     Args:
       altitude_m: metres above home that a return needs; it is rounded up to whole metres (`typed_m`).
       autopilot: the one that is asked for; of ``"unknown"`` all are, of ``"dji"`` none, whose app asks for the height.
       departures: places from which it may return, the ``item`` to which each belongs, and what `low_returns` asks for.
-        The sentence names the first that the autopilot's default cone leaves lower than the way home needs, if there is
+        The text names the first that the autopilot's default cone leaves lower than the way home needs, if there is
         one. Left out, it says how to switch the cone off.
 
     Examples:
-      >>> from jaxurban.paths.autopilots import parameter_lines
-      >>> parameter_lines(73.2, "px4")
-      ['PX4: RTL_RETURN_ALT = 74 (m); near home it returns lower by default: set RTL_CONE_ANG = 0.']
+      >>> from jaxurban.paths.autopilots import parameter_texts
+      >>> parameter_texts(73.2, "px4")
+      {'PX4': 'RTL_RETURN_ALT = 74 (m); near home it returns lower by default: set RTL_CONE_ANG = 0.'}
     """
     metres = typed_m(altitude_m)
-    lines = []
-    for name, (text, setting) in PARAMETERS.items():
+    texts = {}
+    for name, (program, text, setting) in PARAMETERS.items():
         if autopilot not in (name, "unknown"):
             continue
         lower = ["; near home it returns lower by default"]
@@ -94,5 +96,5 @@ def parameter_lines(
             low = low_returns(departures, name, metres).to_dict("records")
             lower = [LOW_IN_CONE.format_map(row) for row in low]
         cone = f"{lower[0]}: set {setting}" if setting and lower else ""
-        lines.append(f"{text.format(m=metres, cm=100 * metres)}{cone}.")
-    return lines
+        texts[program] = f"{text.format(m=metres, cm=100 * metres)}{cone}."
+    return texts

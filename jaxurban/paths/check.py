@@ -18,8 +18,8 @@ from jaxurban.io.read.mission import read_mission
 from jaxurban.io.read.mission_parts import Datum, Leg, LonLat, Mission, Place
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.knowledge import GuessKind
-from jaxurban.maps.metric_maps import MapsLike, as_maps
-from jaxurban.maps.sources import left_out, standing_on
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.maps.sources import Standing, left_out, standing_on
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.check_result import MissionCheck
@@ -123,32 +123,16 @@ def check(
     """
     # The arguments, the mission as it was read, and the times of the flight: None stands for the maps' first time.
     maps = as_maps(maps)
-    for name, most in values_given(
-        {"max_no_fix_m": max_no_fix_m, "max_people": max_people, "ceiling_m": ceiling_m}
-    ).items():
-        not_negative(name, most)
+    most = {"max_no_fix_m": max_no_fix_m, "max_people": max_people, "ceiling_m": ceiling_m}
+    for name, value in values_given(most).items():
+        not_negative(name, value)
     positive("swath_m", swath_m)
-    if isinstance(mission, str | Path):
-        mission = read_mission(
-            mission, heights=heights, home=home, return_altitude_m=return_altitude_m
-        )
-    elif (heights, home, return_altitude_m) != (None, None, None):
-        raise InputError(
-            "heights, home and return_altitude_m are of a file, and mission was read already: leave them out"
-        )
     if isinstance(mission, PlannedPath):
         constraints = constraints or constraints_of(mission)
-        mission = _mission_of(mission)
+    of_file = {"heights": heights, "home": home, "return_altitude_m": return_altitude_m}
+    mission = _mission_of(mission, values_given(of_file), home_above_ground_m)
     named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
-
-    if home_above_ground_m is not None:
-        if mission.home is None:
-            raise InputError(
-                "home_above_ground_m is of a home, and the mission has none: name it (home, --home)"
-            )
-        above_m = not_negative("home_above_ground_m", home_above_ground_m)
-        mission = replace(mission, home_above_ground_m=above_m)
 
     # Constraints: those of the argument, with the zones of files, the geofence and the clearances of the call. What is
     # still left out is as in the maps' scenario. Of the zones those count that are in force.
@@ -163,9 +147,8 @@ def check(
     # What is found along the mission, which parts of it are unknown, and the figures; limits are on figures.
     standing = standing_on(maps, sources)
     city = standing.city
-    is_outlined = not standing.reason
     known = shapely.box(*maps.grid.bounds_m)
-    if city and is_outlined:  # a raster of plants is looked at in the maps' cells alone
+    if city and not standing.reason:  # a raster of plants is looked at in the maps' cells alone
         known = shapely.intersection(known, city.known_ground) if city.plants else city.known_ground
     flight = flight_of(mission, Elevation(maps, city), geoid_m)
     buildings = buildings_of(maps, city)
@@ -178,22 +161,9 @@ def check(
     findings = pd.concat(tables or [findings])
 
     departures = departures_of(flight, buildings, known, limits)
-    guesses = () if is_outlined else maps.guesses
-    lost = [guess.name for guess in guesses if guess.kind is GuessKind.WITHOUT_DATA]
-    not_judged = [
-        *[CHANGED] * standing.has_changed,
-        *(f"{each.name}." for each in maps.guesses if each.kind is GuessKind.WITHOUT_SHAPE),
-        *_above_roof(flight, buildings),
-        *_not_judged(flight, unknown),
-        *open_limits,
-        *(
-            f"The city is gone, and with it where what it leaves open lies: {text}."
-            for text in lost
-        ),
-    ]
     return MissionCheck(
         findings=findings.reset_index(drop=True),
-        not_judged=not_judged,
+        not_judged=_not_judged(maps, standing, flight, buildings, unknown, open_limits),
         figures=figures,
         outlines=standing.outlines + flight.ground_note,
         limits=limits.to_dict(),
@@ -231,15 +201,31 @@ def _above_roof(flight: Flight, buildings: Prisms) -> list[str]:
     ]
 
 
-def _not_judged(flight: Flight, unknown: pd.DataFrame) -> list[str]:
-    """Return sentences on what of a flight cannot be judged, by its mission and by the maps.
+def _not_judged(
+    maps: MetricMaps,
+    standing: Standing,
+    flight: Flight,
+    buildings: Prisms,
+    unknown: pd.DataFrame,
+    open_limits: list[str],
+) -> list[str]:
+    """Return sentences on what of a flight cannot be judged, by the maps, by its mission and by limits.
 
     Args:
+      maps: the maps.
+      standing: what is known of what stands on them.
       flight: over the maps.
+      buildings: that it was judged against.
       unknown: the parts of it that are not judged, with the ``reason`` of each (`judged`).
+      open_limits: sentences on limits that are not judged.
     """
     mission = flight.mission
-    sentences = [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
+    sentences = [CHANGED] * standing.has_changed
+    for guess in maps.guesses:
+        if guess.kind is GuessKind.WITHOUT_SHAPE:
+            sentences.append(f"{guess.name}.")
+    sentences += _above_roof(flight, buildings)
+    sentences += [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
     if not mission.legs:
         sentences.append("The mission holds no leg.")
     if flight.home_off_m > MOST_HOME_OFF_M:
@@ -253,10 +239,49 @@ def _not_judged(flight: Flight, unknown: pd.DataFrame) -> list[str]:
         )
     for reason, rows in unknown.groupby("reason", sort=False):
         sentences.append(f"{union_m(rows):,.0f} m {reason}.")
+    sentences += open_limits
+    for guess in maps.guesses:
+        if standing.reason and guess.kind is GuessKind.WITHOUT_DATA:
+            sentences.append(
+                f"The city is gone, and with it where what it leaves open lies: {guess.name}."
+            )
     return sentences
 
 
-def _mission_of(path: PlannedPath) -> Mission:
+def _mission_of(
+    mission: str | Path | Mission | PlannedPath,
+    of_file: Mapping[str, Any],
+    home_above_ground_m: float | None,
+) -> Mission:
+    """Return what is checked as a mission: read from its file, or of a planned path the legs in the air.
+
+    Args:
+      mission: as of `check`.
+      of_file: keywords of `read_mission` that are given.
+      home_above_ground_m: how high home lies above the ground; None: as the mission has it.
+
+    Raises:
+      InputError: as `read_mission`, keywords without a file, a path that is none, or a height of a home that is none.
+    """
+    if isinstance(mission, str | Path):
+        mission = read_mission(mission, **of_file)
+    elif of_file:
+        raise InputError(
+            "heights, home and return_altitude_m are of a file, and mission was read already: leave them out"
+        )
+    if isinstance(mission, PlannedPath):
+        mission = _in_the_air(mission)
+    if home_above_ground_m is None:
+        return mission
+    if mission.home is None:
+        raise InputError(
+            "home_above_ground_m is of a home, and the mission has none: name it (home, --home)"
+        )
+    above_m = not_negative("home_above_ground_m", home_above_ground_m)
+    return replace(mission, home_above_ground_m=above_m)
+
+
+def _in_the_air(path: PlannedPath) -> Mission:
     """Return a planned path as a mission: its legs in the air, above the ground.
 
     Raises:

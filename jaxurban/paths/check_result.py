@@ -21,7 +21,6 @@ from jaxurban.paths.legs import Flight
 from jaxurban.settings import time_said
 
 State = Literal["clean", "findings", "not-judged"]
-ALL_KNOWN = "; not known on 0 m"
 STATES: dict[State, str] = {
     "clean": "Clean: every leg was judged, and nothing was found.",
     "findings": "Findings: {num}.",
@@ -30,8 +29,8 @@ STATES: dict[State, str] = {
 NUMBERS = {  # of `MissionCheck.figures`, in words; one that is missing leaves its line out
     "no-fly zones": "{num_zones_in_force} of {num_zones} in force",
     "length": "{length_m:,.0f} m, {on_maps_m:,.0f} m of it over the maps",
-    "no fix": "{no_fix_by_time_m}; not known on {fix_unknown_m:,.0f} m",
-    "people overflown": "{people_overflown:,.0f}; not known on {people_unknown_m:,.0f} m",
+    "no fix": "{no_fix_by_time_m}{fix_unknown_m}",
+    "people overflown": "{people_overflown:,.0f}{people_unknown_m}",
     "densest kilometre": "{densest_km_people:,.0f} people, from {densest_km_from_m:,.0f} m on",
     "nearest obstacle": "{nearest_wall_m:,.1f} m away, by cells",
     "lowest over roofs": "{least_over_roofs_m:,.1f} m, by cells",
@@ -118,10 +117,13 @@ class MissionCheck(Result):
         texts = {**self.figures, "no_fix_by_time_m": ", ".join(lost)}
         for name in {"cost_by_layer", "exposure_by_layer"} & texts.keys():
             texts[name] = ", ".join(f"{layer} {cost:,.1f}" for layer, cost in texts[name].items())
+        for name in {"fix_unknown_m", "people_unknown_m"} & texts.keys():
+            unknown_m = round(texts[name])
+            texts[name] = f"; not known on {unknown_m:,} m" if unknown_m else ""
         numbers = {}
         for name, words in NUMBERS.items():
             with suppress(KeyError):
-                numbers[name] = words.format_map(texts).removesuffix(ALL_KNOWN)
+                numbers[name] = words.format_map(texts)
         return numbers
 
     @property

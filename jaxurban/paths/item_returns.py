@@ -6,7 +6,7 @@ import shapely
 
 from jaxurban.kernels.line.homeward import highest_homeward
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
-from jaxurban.paths.autopilots import low_returns, parameter_lines, typed_m
+from jaxurban.paths.autopilots import low_returns, parameter_texts, typed_m
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.contacts import Prisms
 from jaxurban.paths.elevation import Elevation
@@ -185,7 +185,8 @@ def return_lines(departures: pd.DataFrame, flight: Flight, ceiling_m: int) -> li
             by_cone = "flown level, " if altitude_m >= least_m else ""
             fails = f"{altitude_m:g} m fails from item {failing.iloc[0]} on; {by_cone}"
         lines.append(f"A return at {fails}{typed_m(least_m)} m clears {cleared}.")
-        lines += parameter_lines(least_m, mission.autopilot, departures)
+        parameters = parameter_texts(least_m, mission.autopilot, departures)
+        lines += [f"{program}: {text}" for program, text in parameters.items()]
     elif departures["least_m"].notna().any():
         lines.append(
             f"A return clears {cleared} at the height that the flight has, wherever it begins."

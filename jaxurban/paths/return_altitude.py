@@ -12,7 +12,7 @@ from jaxurban.io.geotiff import write_bands
 from jaxurban.kernels.line.homeward import highest_homeward
 from jaxurban.knowledge import Caution, caution_of_guesses, percent
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.paths.autopilots import ENOUGH_M, parameter_lines, typed_m
+from jaxurban.paths.autopilots import ENOUGH_M, parameter_texts, typed_m
 from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.clearance import highest_within, reaches_m
 from jaxurban.paths.constraints import Constraints, describe_constraints
@@ -100,9 +100,9 @@ class ReturnAltitude(FactsRepr):
     @property
     def facts(self) -> dict[str, str]:
         """What one altitude clears, what is kept, and what to type into autopilots."""
-        typed = [line.split(": ", 1) for line in parameter_lines(self.figures["typed_m"])]
+        typed = parameter_texts(self.figures["typed_m"])
         kept = describe_constraints(self.limits.to_dict())
-        return {"clears": self.sentence, "kept": kept, **dict(typed)}
+        return {"clears": self.sentence, "kept": kept, **typed}
 
     @property
     def cautions(self) -> list[Caution]:

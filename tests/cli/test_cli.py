@@ -95,6 +95,15 @@ def test_plan_writes_each_file_asked_for_and_weights_change_the_cost(made, tmp_p
     assert costs[0] < costs[1]
 
 
+def test_what_a_path_notes_is_printed_in_its_message_alone(made, capsys):
+    between = (*ENDS, "--altitude", 40, "--snap")
+    code, out, err = run(capsys, "plan", made, *between)
+    assert code == 0, err
+    assert "are interpolated between" in out
+    assert "are interpolated between" not in err
+    assert "Roofs: the lowest pass" in err
+
+
 def test_a_goal_that_is_walled_in_ends_with_exit_code_three(tmp_path, capsys):
     court = box(-73.9965, 40.7575, -73.995, 40.7585)
     scenario = write_city(tmp_path, box(-73.9975, 40.7568, -73.994, 40.7592) - court)

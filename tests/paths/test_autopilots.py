@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from jaxurban.io.read.mission_flight import levels_m
-from jaxurban.paths.autopilots import low_returns, parameter_lines, typed_m
+from jaxurban.paths.autopilots import low_returns, parameter_texts, typed_m
 
 # Autopilot, metres from home, return altitude, own height above home, the least height that is flown home, and why.
 RULES = [
@@ -53,12 +53,14 @@ def test_altitudes_are_rounded_up_to_whole_metres_that_every_parameter_holds():
 
 def test_each_autopilot_gets_its_parameter_in_its_unit():
     none = departures()
-    copter, px4, inav = parameter_lines(73.2, departures=none)
-    assert copter == "ArduCopter: RTL_ALT = 7400 (cm) up to 4.6, RTL_ALT_M = 74 (m) from 4.7 on."
-    assert px4 == "PX4: RTL_RETURN_ALT = 74 (m)."
-    assert inav.startswith("INAV: nav_rth_altitude = 7400 (cm, at most 65000), nav_rth_alt_mode")
-    assert parameter_lines(73.2, "px4", none) == [px4]
-    assert parameter_lines(73.2, "dji", none) == []
+    texts = parameter_texts(73.2, departures=none)
+    assert list(texts) == ["ArduCopter", "PX4", "INAV"]
+    copter, px4, inav = texts.values()
+    assert copter == "RTL_ALT = 7400 (cm) up to 4.6, RTL_ALT_M = 74 (m) from 4.7 on."
+    assert px4 == "RTL_RETURN_ALT = 74 (m)."
+    assert inav.startswith("nav_rth_altitude = 7400 (cm, at most 65000), nav_rth_alt_mode")
+    assert parameter_texts(73.2, "px4", none) == {"PX4": px4}
+    assert parameter_texts(73.2, "dji", none) == {}
 
 
 def test_the_cone_is_named_at_the_first_place_where_it_leaves_a_return_too_low():
@@ -68,12 +70,12 @@ def test_the_cone_is_named_at_the_first_place_where_it_leaves_a_return_too_low()
         (4, 8.0, 80.0, 74.0),  # its own height is enough
         (5, 8.0, 5.0, math.nan),  # what it needs is not known
     )
-    copter, px4, inav = parameter_lines(74.0, departures=places)
+    copter, px4, inav = parameter_texts(74.0, departures=places).values()
     assert "from item 3, 20 m from home, at 60.0 m, below the 74.0 m needed" in copter
     assert copter.endswith("set RTL_CONE_SLOPE = 0.")
     assert "CONE" not in px4
     assert "cone" not in inav
-    assert "at 8.0 m" in parameter_lines(74.0, "px4", departures((6, 8.0, 5.0, 74.0)))[0]
+    assert "at 8.0 m" in parameter_texts(74.0, "px4", departures((6, 8.0, 5.0, 74.0)))["PX4"]
 
 
 def test_what_is_not_known_is_not_low():
@@ -83,7 +85,7 @@ def test_what_is_not_known_is_not_low():
 
 
 def test_without_places_it_says_how_to_switch_each_cone_off():
-    copter, px4, inav = parameter_lines(74.0)
+    copter, px4, inav = parameter_texts(74.0).values()
     assert "near home" in copter
     assert copter.endswith("set RTL_CONE_SLOPE = 0.")
     assert px4.endswith("set RTL_CONE_ANG = 0.")

@@ -689,6 +689,10 @@ def test_figures_are_in_words_and_their_keys_stay(lost_scene):
     lost = "70 m at 2020-04-27 16:00 UTC, 10 m at 2020-04-29 16:00 UTC"
     assert result.facts["no fix"] == lost
     assert f"no fix: {lost}" in result.lines
+    unknown = result.figures | {"fix_unknown_m": 1234.4, "people_unknown_m": 0.4}
+    unsure = replace(result, figures=unknown).facts
+    assert unsure["no fix"] == f"{lost}; not known on 1,234 m"
+    assert "not known" not in unsure["people overflown"]
     assert result.facts["length"] == "600 m, 600 m of it over the maps"
     assert all("_" not in line for line in result.lines if "return: " not in line)
     by_time = result.to_dict()["figures"]["no_fix_by_time_m"]
