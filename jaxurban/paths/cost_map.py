@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
-from jaxurban.maps.levels import SAME_M, Levels, listed_m
+from jaxurban.maps.levels import Levels, listed_m
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
 from jaxurban.paths.choices import SearchChoice
@@ -407,35 +407,6 @@ class CostMap(FactsRepr):
     def levels_free(self) -> np.ndarray:
         """``[K, Y, X]`` where a path may fly, on one altitude too."""
         return self.is_free.reshape(-1, *self.grid.shape)
-
-    def level_of(self, name: str, place: Point | XY, cell: Cell) -> int:
-        """Return the number of the level of an end, from 0 for the lowest; 0 on one altitude.
-
-        Args:
-          name: ``"start"`` or ``"goal"``, for messages.
-          place: of the end, whose altitude is one of the levels; without one, it is the lowest level on which the cell
-            is free, or 0 if it is on none.
-          cell: row and column of the end.
-
-        Returns:
-          The number.
-
-        Raises:
-          InputError: an altitude that is none of the levels, or any altitude on a map without levels.
-        """
-        row, col = cell
-        altitude_m = place[2] if len(place) > 2 else None
-        if altitude_m is None:
-            return int(np.argmax(self.levels_free[:, row, col]))  # the first that is True
-        if self.levels is None:
-            raise InputError(
-                f"{name} has an altitude, which only a path between levels takes: leave it out"
-            )
-        level = int(np.argmin(np.abs(self.altitudes_m - altitude_m)))
-        if not abs(self.altitudes_m[level] - altitude_m) < SAME_M:
-            levels = f"the levels {listed_m(self.altitudes_m)} m: choose one of them"
-            raise InputError(f"{name} altitude {altitude_m:g} m is none of {levels}")
-        return level
 
     @property
     def remedy(self) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxurban.errors import InputError
+from jaxurban.maps.levels import SAME_M, listed_m
 from jaxurban.paths.places import MAX_SNAP_M, XY, End, Point, snap_limit_m
 from jaxurban.planners.base import Cell, islands_of
 
@@ -44,7 +45,7 @@ def places_near(
     """
     # The cell of the place itself.
     xy_m, cell = cost_map.cell_of(name, place)
-    level = cost_map.level_of(name, place, cell)
+    level = _level_of(cost_map, name, place, cell)
     limit_m = snap_limit_m(snap)
     is_free = cost_map.free_to_ground(level) if on_ground else cost_map.levels_free[level]
     level_index = () if cost_map.levels is None else (level,)  # before row and column
@@ -101,6 +102,37 @@ def places_near(
         free_cell = *level_index, *cells[index].tolist()
         ends.append(End(free_cell, float(away_m[index]), True, on_ground, was_free=bool(own)))
     return ends
+
+
+def _level_of(cost_map: "CostMap", name: str, place: Point | XY, cell: Cell) -> int:
+    """Return the number of the level of an end, from 0 for the lowest; 0 on one altitude.
+
+    Args:
+      cost_map: whose levels they are.
+      name: ``"start"`` or ``"goal"``, for messages.
+      place: of the end, whose altitude is one of the levels; without one, it is the lowest level on which the cell
+        is free, or 0 if it is on none.
+      cell: row and column of the end.
+
+    Returns:
+      The number.
+
+    Raises:
+      InputError: an altitude that is none of the levels, or any altitude on a map without levels.
+    """
+    row, col = cell
+    altitude_m = place[2] if len(place) > 2 else None
+    if altitude_m is None:
+        return int(np.argmax(cost_map.levels_free[:, row, col]))  # the first that is True
+    if cost_map.levels is None:
+        raise InputError(
+            f"{name} has an altitude, which only a path between levels takes: leave it out"
+        )
+    level = int(np.argmin(np.abs(cost_map.altitudes_m - altitude_m)))
+    if not abs(cost_map.altitudes_m[level] - altitude_m) < SAME_M:
+        levels = f"the levels {listed_m(cost_map.altitudes_m)} m: choose one of them"
+        raise InputError(f"{name} altitude {altitude_m:g} m is none of {levels}")
+    return level
 
 
 def joined_ends(cost_map: "CostMap", starts: list[End], goals: list[End]) -> tuple[End, End]:

@@ -89,7 +89,7 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     assert code == 0
     sentence = (
         "heights of the 4 buildings in the region are guessed (1 from the number of levels at 3 m each, "
-        "1 by the default of 10 m)"
+        "1 by the median of their class: buildings of 60 to 200 m2"
     )
     assert [
         line
