@@ -491,6 +491,7 @@ def _project(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return shapes in another CRS, valid and without heights, which of them could be made, and which are whole.
 
+    Polygons alone in a MultiPolygon, as those of OpenStreetMap are made, come without it, as maps burn them in less time.
     A shape is not whole if it lacks a vertex, or if an area has become a line or a point. The latter are ``[N]`` bool.
 
     Args:
@@ -520,6 +521,10 @@ def _project(
     is_flat = shapely.is_empty(made)
     shapes[to_repair] = np.where(is_flat, shapely.convex_hull(shapes[to_repair]), made)
     is_whole[to_repair] &= ~is_flat
+
+    is_alone = shapely.get_type_id(shapes) == shapely.GeometryType.MULTIPOLYGON
+    is_alone &= shapely.get_num_geometries(shapes) == 1
+    shapes[is_alone] = shapely.get_geometry(shapes[is_alone], 0)
 
     issues[ReadIssue.OUTSIDE_CRS] = int(np.sum(is_there & ~is_sound))
     num_repaired = int(np.sum(~is_flat))
