@@ -491,7 +491,7 @@ def _project(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return shapes in another CRS, valid and without heights, which of them could be made, and which are whole.
 
-    Polygons alone in a MultiPolygon, as those of OpenStreetMap are made, come without it, as maps burn them in less time.
+    Polygons alone in a MultiPolygon, as those of OpenStreetMap are made, come without it: maps burn them more quickly.
     A shape is not whole if it lacks a vertex, or if an area has become a line or a point. The latter are ``[N]`` bool.
 
     Args:
