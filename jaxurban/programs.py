@@ -14,6 +14,8 @@ from threading import RLock
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from jaxurban.progress import BRIEF_S, LOG
 
 # Its level is the switch: warnings are seen where nobody has set logging up.
@@ -24,6 +26,7 @@ SENTENCE = (
     "jaxurban compiles what this machine runs for the first time: about 8 s for first maps, up to 5 s for the first "
     "route of a planner"
 )
+ON_HOST = np.ndarray, np.generic  # types of values
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 DIGEST_BYTES = hashlib.sha256().digest_size
 # What writing, reading, packing or unpacking a program raises where it cannot be kept or used.
@@ -63,11 +66,15 @@ def kept_jit(function: Callable[..., Any], **options: Any) -> Any:
     programs: dict[Hashable, Callable] = {}
     lock = RLock()  # threads wait for a program that one of them compiles
 
-    def is_plain(leaf: Any) -> bool:
-        """Return whether a value is known, and lies where JAX puts what nobody has placed."""
+    def kind_of(leaf: Any) -> Any:
+        """Return what of an array or a number decides a program; None where JAX traces it, or somebody placed it."""
+        if isinstance(leaf, ON_HOST):
+            return leaf.shape, leaf.dtype, False
         if not isinstance(leaf, jax.Array):
-            return True
-        return not isinstance(leaf, jax.core.Tracer) and leaf.devices() == {jax.devices()[0]}
+            return type(leaf)
+        if isinstance(leaf, jax.core.Tracer) or leaf.devices() != {jax.devices()[0]}:
+            return None
+        return leaf.shape, leaf.dtype, leaf.weak_type
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -77,11 +84,12 @@ def kept_jit(function: Callable[..., Any], **options: Any) -> Any:
         is_chosen = config.jax_disable_jit or config.jax_default_device is not None
         # What JAX has loaded from its own cache lacks parts when it is written once more.
         is_chosen |= config.jax_compilation_cache_dir is not None
-        if is_chosen or not all(map(is_plain, leaves)):
+        kinds = [*map(kind_of, leaves)]
+        if is_chosen or None in kinds:
             return jitted(*args, **kwargs, **static)
 
         own = config.jax_enable_x64, config.jax_default_matmul_precision
-        signature = own, tree, *static.items(), *map(_kind_of, leaves)
+        signature = own, tree, *static.items(), *kinds
         with lock:
             program = programs.get(signature)
             if program is None:
@@ -93,13 +101,6 @@ def kept_jit(function: Callable[..., Any], **options: Any) -> Any:
     kept.lower, kept.trace = jitted.lower, jitted.trace
     kept.programs = programs
     return kept
-
-
-def _kind_of(leaf: Any) -> Any:
-    """Return what of an array or a number decides a program."""
-    if not hasattr(leaf, "dtype"):
-        return type(leaf)
-    return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
 
 
 def _program(function: Callable, signature: Hashable, lower: Callable[[], Any]) -> Any:
