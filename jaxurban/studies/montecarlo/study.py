@@ -55,7 +55,7 @@ class BenchmarkResult(Result):
       >>> chosen = ju.studies.Study(planners="astar-plus", distance_only=(), altitudes_m=[60.0])
       >>> result = ju.studies.study(maps, "found", 2, settings=chosen, progress=False)
       >>> result.table.groupby("planner")["has_path"].mean().to_dict()
-      {'astar-plus': 1.0}
+      {'astar-plus': 0.5}
     """
 
     _command = "study"
