@@ -225,10 +225,10 @@ def compare(
       >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
       >>> change = ju.studies.compare(maps, higher_mask, progress=False)
       >>> change.table.set_index("layer").loc[["gps", "lidar"], ["unit", "cells", "gained", "lost"]]
-                  unit  cells  gained  lost
-            layer                          
-            gps      1    881       0   751
-            lidar    1    881       0     0
+            unit  cells  gained  lost
+      layer
+      gps      1    878       0   749
+      lidar    1    878       0     0
       >>> regrets = ju.studies.compare(maps, higher_mask, routes=20, progress=False).regrets
       >>> regrets[["planned_on", "judged_on", "routes", "closed"]].to_numpy().tolist()
       [['A', 'B', 20, 0.0], ['B', 'A', 20, 0.0]]

@@ -126,8 +126,8 @@ def study(
       >>> benchmark = ju.studies.study(maps, "benchmark", 2, settings=chosen, progress=False)
       >>> benchmark.rows[["instance", "planner", "objective", "status"]]
          instance     planner objective   status
-      0         0  astar-dist  distance  optimal
-      1         0  astar-plus  weighted  optimal
+      0         0  astar-dist  distance  no-path
+      1         0  astar-plus  weighted  no-path
       2         1  astar-dist  distance  optimal
       3         1  astar-plus  weighted  optimal
     """
