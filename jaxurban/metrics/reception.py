@@ -38,7 +38,7 @@ class ReceptionCurve:
       >>> soft = ju.grad.soft_city(city, maps.grid, params)
       >>> cells = np.array([[17, 15], [12, 12]])  # row, column
       >>> print(soft.layer("gps", soft.height_m, params, cells).round(2))
-      [0.22999999 0.11      ]
+      [0.11 0.11]
     """
 
     intercept: Float[Array, "..."] | float
@@ -71,7 +71,7 @@ class ReceptionCurve:
           >>> soft = ju.grad.soft_city(city, maps.grid, params)
           >>> cells = np.array([[17, 15], [12, 12]])  # row, column
           >>> print(soft.layer("gps", soft.height_m, params, cells).round(2))
-          [0.26 0.13]
+          [0.14 0.13]
         """
         source = "taroz/ge-gnss-visibility 58e26fe, data/kinematic: u-blox in a car, Nihonbashi, 251 s, 2023-06-22"
         return cls(intercept=-0.19, slope=0.64, scale_m=2.0, cut_m=60.0, source=source)

@@ -278,7 +278,7 @@ class CostMap(FactsRepr):
           >>> cost_map = ju.cost_map(maps, 60.0)
           >>> avoiding = cost_map.with_weights({"population": 5.0})
           >>> [round(each.plan(start, goal).length_m) for each in (cost_map, avoiding)]
-          [848, 864]
+          [836, 864]
         """
         other = replace(self, weights=weights_on(self.maps, weights), is_prepared=False)
         other.cache.shortest = self.shortest
@@ -477,7 +477,7 @@ class CostMap(FactsRepr):
           >>> cost_map = ju.cost_map(maps, 60.0, objective="distance")
           >>> shortest = cost_map.plan(start, goal, planner="theta-star")
           >>> shortest.status.value, len(shortest.xy_m), round(shortest.length_m)
-          ('feasible', 4, 729)
+          ('feasible', 4, 728)
         """
         start_place = one_place("start", start, start_xy_m)
         goal_place = one_place("goal", goal, goal_xy_m)
@@ -567,7 +567,7 @@ class CostMap(FactsRepr):
           >>> cost_map = ju.cost_map(maps, 60.0)
           >>> means = cost_map.means(cost_map.problem.features(path.search.points_m))
           >>> {name: round(m, 2) for name, m in means.items()}
-          {'gps': 0.88, 'lidar': 0.04, 'population': 0.08, 'risk': 1.0}
+          {'gps': 0.88, 'lidar': 0.04, 'population': 0.1, 'risk': 1.0}
         """
         metrics = self.maps.metrics
         means = {}

@@ -110,7 +110,7 @@ def demonstrations_from_study(
       >>> run = ju.studies.study(maps, "one-w", 4, settings=chosen, progress=False)
       >>> routes = ju.fit.demonstrations_from_study(run)
       >>> [each.query.name for each in routes], routes[0].query.cost_map.altitude_m
-      (['1', '2', '3'], 60.0)
+      (['0', '1', '2', '3'], 60.0)
     """
     # The arguments. A result holds maps and constraints, which count where the arguments leave them out.
     if planner is not None and pilot is not None:

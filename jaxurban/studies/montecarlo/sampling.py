@@ -121,7 +121,7 @@ def sample_instances(
       1         1        20.0     5.0         False
       2         2        20.0     5.0          True
       3         0        60.0     5.0          True
-      4         1        60.0     5.0         False
+      4         1        60.0     5.0          True
       5         2        60.0     5.0          True
     """
     # The arguments.

@@ -55,7 +55,7 @@ class BenchmarkResult(Result):
       >>> chosen = ju.studies.Study(planners="astar-plus", distance_only=(), altitudes_m=[60.0])
       >>> result = ju.studies.study(maps, "found", 2, settings=chosen, progress=False)
       >>> result.table.groupby("planner")["has_path"].mean().to_dict()
-      {'astar-plus': 0.5}
+      {'astar-plus': 1.0}
     """
 
     _command = "study"
@@ -126,8 +126,8 @@ def study(
       >>> benchmark = ju.studies.study(maps, "benchmark", 2, settings=chosen, progress=False)
       >>> benchmark.rows[["instance", "planner", "objective", "status"]]
          instance     planner objective   status
-      0         0  astar-dist  distance  no-path
-      1         0  astar-plus  weighted  no-path
+      0         0  astar-dist  distance  optimal
+      1         0  astar-plus  weighted  optimal
       2         1  astar-dist  distance  optimal
       3         1  astar-plus  weighted  optimal
     """

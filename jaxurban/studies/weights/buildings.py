@@ -104,9 +104,9 @@ def building_costs(
       >>> soft = ju.grad.soft_city(city, maps.grid, params)
       >>> table = ju.studies.building_costs(city, soft, path, params)
       >>> table[["building", "per_metre", "height_m", "origin"]].head(1).round(4)
-                  building  per_metre  height_m     origin
-            rank                                          
-            1          104     0.0476      98.5  generated
+            building  per_metre  height_m     origin
+      rank
+      1          104      0.069      97.7  generated
     """
     # [B] gradients of all buildings, by layer and in sum; the listed ones are numbers of buildings, in their order.
     assert city.buildings is not None
