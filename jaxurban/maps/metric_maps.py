@@ -361,9 +361,9 @@ class MetricMaps(FactsRepr):
         Examples:
           >>> is_free = maps.is_free(20.0)
           >>> is_free.shape, round(float(is_free.mean()), 2)
-          ((30, 30), 0.87)
+          ((30, 30), 0.89)
           >>> round(float(maps.is_free(20.0, "centre").mean()), 2)
-          0.95
+          0.96
         """
         altitude_m = finite("altitude_m", altitude_m)
         rule = obstacles or self.obstacles
@@ -394,7 +394,7 @@ class MetricMaps(FactsRepr):
 
         Examples:
           >>> round(float(maps.is_under_sky(20.0).mean()), 2)
-          0.95
+          0.96
         """
         return self.with_obstacles("centre").is_free(altitude_m)
 
@@ -489,7 +489,7 @@ class MetricMaps(FactsRepr):
 
         Examples:
           >>> round(float(maps.prefers_gps(20.0).mean()), 2), round(float(maps.prefers_gps(60.0).mean()), 2)
-          (0.84, 0.97)
+          (0.89, 0.98)
         """
         return self.m("gps", altitude_m, time=time) > self.m("lidar", altitude_m)
 

@@ -119,7 +119,7 @@ def check(
       >>> print(result.sentence)
       Findings: 1.
       >>> result.findings[["kind", "what"]].to_dict("records")
-      [{'kind': 'limit', 'what': '92 people overflown; the limit is 30'}]
+      [{'kind': 'limit', 'what': '69 people overflown; the limit is 30'}]
     """
     # The arguments, the mission as it was read, and the times of the flight: None stands for the maps' first time.
     maps = as_maps(maps)

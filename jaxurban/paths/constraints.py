@@ -398,7 +398,7 @@ class Constraints:
         Examples:
           >>> is_free = ju.Constraints(clearance_m=10.0).is_free(maps, [20.0, 60.0])
           >>> is_free.shape, is_free.sum(axis=(1, 2)).tolist()
-          ((2, 30, 30), [425, 650])
+          ((2, 30, 30), [463, 652])
         """
         is_free = np.stack([maps.is_free(z_m) for z_m in np.atleast_1d(altitude_m).tolist()])
         closed = self.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
@@ -435,7 +435,7 @@ class Constraints:
           >>> limits.closed(maps, 20.0).shape, limits.closed(maps, [20.0, 60.0]).shape
           ((30, 30), (2, 30, 30))
           >>> limits.closed(maps, [20.0, 60.0]).sum(axis=(1, 2)).tolist()
-          [475, 250]
+          [437, 248]
         """
         levels_m = np.atleast_1d(np.asarray(altitude_m, float))
         closed = self._closed_by_zones(maps.grid, levels_m)
@@ -472,7 +472,7 @@ class Constraints:
         Examples:
           >>> limits = ju.Constraints()
           >>> int(limits.is_free(maps, 60.0).sum()), int(limits.is_free_to_ground(maps, 60.0).sum())
-          (847, 449)
+          (852, 501)
         """
         levels_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m < altitude_m]
         is_free = self.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)

@@ -240,9 +240,9 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
     Examples:
       >>> short = ju.simplify(path, ju.cost_map(maps, 60.0), tolerance_m=20.0)
       >>> len(path.xy_m), len(short.xy_m), short.status.value
-      (37, 5, 'feasible')
+      (38, 5, 'feasible')
       >>> short.message
-      '...Simplified to 20 m: 5 of 37 waypoints, at most 17.91 m from the planned path; ...'
+      '...Simplified to 20 m: 5 of 38 waypoints, at most 18.27 m from the planned path; ...'
     """
     if not planned.status.has_path:
         return planned

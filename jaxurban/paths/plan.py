@@ -113,7 +113,7 @@ def cost_map(
       >>> cost_map.facts["weights"]
       'distance 0.1, gps 3, lidar 1, population 1, risk 1'
       >>> cost_map.facts["free"]
-      '81.2% of the cells'
+      '84.8% of the cells'
       >>> cost_map.plan(start, goal).status.value
       'optimal'
     """

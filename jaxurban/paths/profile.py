@@ -328,8 +328,8 @@ def cautions(
     Examples:
       >>> for caution in ju.cautions(path, maps):
       ...     print(caution.level, caution)
-      note Buildings: the nearest that reaches the flight height is 30.0 m away, 475 m along the route.
-      note Roofs: the lowest pass leaves 37.0 m above a roof of 23.0 m, 801 m along the route.
+      note Buildings: the nearest that reaches the flight height is 30.0 m away, 486 m along the route.
+      note Roofs: the lowest pass leaves 37.0 m above a roof of 23.0 m, 812 m along the route.
     """
     maps = as_maps(maps)
     profile = cautious_profile(planned, maps) if profile is None else profile

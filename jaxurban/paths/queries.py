@@ -300,7 +300,7 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
           >>> paths = ju.plan_many(maps, [(start, goal), (goal, start)], altitude_m=60.0, progress=False)
           >>> table = paths.to_dataframe()
           >>> table[["query", "status", "num_points"]].to_numpy().tolist()
-          [[0, 'optimal', 37], [1, 'optimal', 37]]
+          [[0, 'optimal', 38], [1, 'optimal', 38]]
         """
         table = pd.DataFrame(self.rows)
         if with_points:

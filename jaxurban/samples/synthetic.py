@@ -53,7 +53,7 @@ DOWNTOWN = (0.05, -0.1)
 DOWNTOWN_RADIUS = 0.3
 PITCH_M = np.array([180.0, 90.0])  # of street blocks
 MIN_ROWS = 7  # of street blocks in a box
-STREET_SHARE = 0.36  # of the pitch from street to street
+STREET_SHARE = 0.45  # of the pitch from street to street
 LOTS = (4, 2)  # of a street block
 VACANT_SHARE = 0.15  # of lots
 TALLEST_M = 390.0
@@ -260,9 +260,9 @@ def _buildings(
     has_tower = chance < 1.2 * depth - 0.1
 
     # Houses, whose heights spread around a median; none is cut by the edge of the box.
-    inset_m = rng.uniform(0.05, 0.15, (2, num_lots, 2)) * lot_m
+    inset_m = rng.uniform(0.02, 0.1, (2, num_lots, 2)) * lot_m
     houses = plan.rectangles(low_m + inset_m[0], low_m + lot_m - inset_m[1])
-    height_m = (10 + 25 * depth) * np.exp(0.5 * rng.standard_normal(num_lots))
+    height_m = (10 + 15 * depth) * np.exp(0.5 * rng.standard_normal(num_lots))
     is_built = (has_tower | (chance < 1 - VACANT_SHARE)) & shapely.contains(plan.box, houses)
 
     # A tower is a shaft on a house, as a part of it. One is the tallest.

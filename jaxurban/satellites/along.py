@@ -243,7 +243,7 @@ def sky_along(
     Examples:
       >>> flown = ju.sky_along(city, path, times="2020-04-27T16:00:00Z", speed_m_s=10.0)
       >>> len(flown.table), list(flown.table)[:4]
-      (85, ['time', 'lon', 'lat', 'altitude_m'])
+      (86, ['time', 'lon', 'lat', 'altitude_m'])
     """
     sight = Sight.of(where, gps, sources)
     heard = None

@@ -227,8 +227,8 @@ def compare(
       >>> change.table.set_index("layer").loc[["gps", "lidar"], ["unit", "cells", "gained", "lost"]]
             unit  cells  gained  lost
       layer
-      gps      1    885       0   770
-      lidar    1    885       0     0
+      gps      1    891       0   792
+      lidar    1    891       0     0
       >>> regrets = ju.studies.compare(maps, higher_mask, routes=20, progress=False).regrets
       >>> regrets[["planned_on", "judged_on", "routes", "closed"]].to_numpy().tolist()
       [['A', 'B', 20, 0.0], ['B', 'A', 20, 0.0]]

@@ -66,7 +66,7 @@ def test_every_building_stands_in_one_block_clear_of_its_streets(city):
     clear_m = shapely.distance(
         buildings, shapely.difference(shapely.boundary(blocks[block]), edge.buffer(0.01))
     )
-    assert np.nanmin(clear_m) > 12.8  # half of the narrowest street, 25.7 m
+    assert np.nanmin(clear_m) > 16.0  # half of the narrowest street, 32.1 m
 
 
 def test_outlines_and_blocks_do_not_overlap_and_leave_the_river_out(city):

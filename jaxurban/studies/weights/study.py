@@ -105,7 +105,7 @@ class Sensitivity(Result):
           >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
           >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
           >>> result.breakpoints("gps")["is_given"].tolist()
-          [False, True, False, False, False]
+          [True, False, False, False, False]
         """
         line = self.lines[one_of("name", name, self.lines)]
 
@@ -231,9 +231,9 @@ def sensitivity(
       >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
       >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
       >>> result.cost["elasticity"].round(2).to_dict()
-      {'distance': 0.3, 'gps': 0.07, 'lidar': 0.57, 'population': 0.06, 'risk': 0.0}
-      >>> result.breakpoints("gps")["to"].round(2).tolist()  # three routes, by the weight up to which each is cheapest
-      [0.76, 1.06, 3.17, 3.21, 10.0]
+      {'distance': 0.3, 'gps': 0.07, 'lidar': 0.59, 'population': 0.04, 'risk': 0.0}
+      >>> result.breakpoints("gps")["to"].round(2).tolist()  # five routes, by the weight up to which each is cheapest
+      [1.43, 1.7, 3.57, 7.62, 10.0]
     """
     # The query, its route, and the columns of the weights that vary.
     check_flat(cost_map)
