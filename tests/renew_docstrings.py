@@ -34,7 +34,7 @@ class Recorder(doctest.DocTestRunner):
 
     def report_unexpected_exception(self, out: Any, test: Any, example: Any, exc_info: Any) -> None:
         """Print an example that raised."""
-        print(f"! {test.name}: {example.source.strip()} raises {exc_info[1]!r}")
+        print(f"! {test.name}: {example.source.strip()} raises {exc_info[1]!r}", file=sys.stderr)
 
 
 def renew(name: str) -> None:

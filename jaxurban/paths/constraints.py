@@ -171,12 +171,13 @@ class Constraints:
       InputError: a clearance that is not a number of metres from 0 up.
 
     Examples:
-      >>> limits = ju.Constraints(clearance_m=20.0, vehicle=ju.Vehicle(radius_m=0.5))
+      >>> limits = ju.Constraints(clearance_m=40.0, vehicle=ju.Vehicle(radius_m=0.5))
       >>> limits.horizontal_m, limits.vertical_m
-      (20.5, 3.0)
-      >>> apart = ju.plan(maps, start, goal, altitude_m=20.0, constraints=limits)
-      >>> apart.status.value, round(apart.length_m), round(ju.plan(maps, start, goal, altitude_m=20.0).length_m)
-      ('optimal', 871, 848)
+      (40.5, 3.0)
+      >>> apart = ju.plan(maps, start, goal, altitude_m=60.0, objective="distance", constraints=limits)
+      >>> shortest = ju.plan(maps, start, goal, altitude_m=60.0, objective="distance")
+      >>> apart.status.value, round(apart.length_m), round(shortest.length_m)
+      ('optimal', 836, 766)
     """
 
     zones: tuple[Zone, ...] = ()
