@@ -22,7 +22,7 @@ SCENARIO = {
     "buildings": {"source": "synthetic"},
     "gps": {"mask_deg": 10.0},
 }
-SPEED_M_S, NUM_LEGS = 6.0, 12
+SPEED_M_S, NUM_LEGS = 6.0, 10
 
 
 @cache
