@@ -20,13 +20,13 @@ from jaxurban.report.figures.style import chart, letter_all, styled
 from jaxurban.report.write import write_picture
 
 FILE = Path(__file__).with_suffix(".png")
-ROOF, COLOURS, LEVELS_M = "#8a8a8a", "plasma", (10.0, 60.0)
+ROOF, COLOURS, LEVELS_M = "#8a8a8a", "plasma", (10.0, 80.0)
 # Shares of each path at which its letter stands: from above, and in the profile.
 AT = {"A": (0.3, 0.6), "B": (0.6, 0.85)}
 SHOWN = np.s_[:160, :180]  # of the synthetic city's rows and columns
 CIRCLE = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.8}
 LETTER = {"size": 9, "weight": "bold", "ha": "center", "va": "center", "bbox": CIRCLE, "zorder": 6}
-START_M, GOAL_M = np.array([280.0, 260.0]), np.array([695.0, 440.0])  # in the synthetic city
+START_M, GOAL_M = np.array([380.0, 500.0]), np.array([780.0, 500.0])  # in the synthetic city
 
 
 def wall() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:

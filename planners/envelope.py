@@ -50,7 +50,7 @@ def planned_cost(
       >>> on = ju.cost_map(maps, 60.0)
       >>> cost = ju.grad.planned_cost(on.problem.between((2, 2), (27, 27)))
       >>> [round(float(each)) for each in jax.grad(cost, argnums=1)(on.costs, on.weight_vector)]
-      [719, 17, 127, 5, 1]
+      [848, 20, 166, 12, 0]
     """
     if isinstance(planner, str):
         planner = partial(find_planner(planner), budget_s=np.inf, seed=0)

@@ -27,8 +27,8 @@ mask_deg = 25
 """
 CORNER = (-74.0, 40.755)
 BOX = (-74.0, 40.755, -73.998, 40.757)
-START, GOAL = (-73.996471, 40.755589), (-73.992836, 40.760962)  # in a building, and in a street
-FREE, BETWEEN = (-73.99411, 40.755028), (-73.993819, 40.758629)
+START, GOAL = (-73.997655, 40.755599), (-73.992836, 40.760962)  # in a building, and in a street
+FREE, BETWEEN = (-73.99411, 40.755028), (-73.994532, 40.758455)
 NOT_COMPARED = {  # how long a call took and where it wrote, of results
     *("elapsed_s", "setup_s", "folder", "cache", "mtime", "file", "batches", "history"),
     *("sources", "num_threads", "created", "version"),
@@ -143,7 +143,7 @@ def on() -> ju.CostMap:
 
 @functools.cache
 def instances() -> pd.DataFrame:
-    return ju.studies.sample_instances(maps(), 3, weights=[ju.Weights(risk=5.0)])
+    return ju.studies.sample_instances(maps(), 3, weights=[ju.Weights(risk=5.0)], seed=1)
 
 
 @functools.cache

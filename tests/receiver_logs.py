@@ -22,7 +22,7 @@ SCENARIO = {
     "buildings": {"source": "synthetic"},
     "gps": {"mask_deg": 10.0},
 }
-SPEED_M_S, NUM_LEGS = 6.0, 8
+SPEED_M_S, NUM_LEGS = 6.0, 10
 
 
 @cache
@@ -46,7 +46,7 @@ def drive() -> pd.DataFrame:
         np.zeros((1, *is_free.shape)),
         ju.CostModel(connectivity=4),
     )
-    stops = cells[np.random.default_rng(5).integers(len(cells), size=NUM_LEGS + 1)].tolist()
+    stops = cells[np.random.default_rng(17).integers(len(cells), size=NUM_LEGS + 1)].tolist()
     legs = [
         Problem(no_costs, is_free, *map(tuple, ends), grid.resolution_m, 1.0, model)
         for ends in pairwise(stops)

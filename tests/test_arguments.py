@@ -329,7 +329,7 @@ USES: dict[str, Callable[..., Any]] = {
         on.city(), on.made_grid(), **{"altitudes_m": (20.0,)} | given
     ),
     "planned_cost": lambda **given: ju.grad.planned_cost(
-        on.on().problem.between((2, 2), (30, 2)), **given
+        on.on().problem.between((9, 2), (9, 30)), **given
     )(on.on().costs, on.on().weight_vector),
     "soft_city": lambda **given: on.soft(ju.grad.SoftParams(20.0), **given),
     "Dop": lambda **given: on.made(gps_horizontal=ju.metrics.Dop(**given)),

@@ -33,7 +33,7 @@ def assumed() -> dict[str, Any]:
     region = {"bounds": [-73.974, 40.778, -73.968, 40.782], "resolution_m": 10.0}
     scenario = ju.Scenario.from_dict({"region": region, "buildings": {"source": "synthetic"}})
     log = pd.DataFrame({"utc": pd.date_range("2020-04-27T16:00:00Z", periods=80, freq="s")})
-    log = log.assign(lon=np.linspace(-73.973, -73.969, 80), lat=40.7795)
+    log = log.assign(lon=np.linspace(-73.973, -73.969, 80), lat=40.7803)
     heard = pd.DataFrame({"satellite": ["G05", "G21"], "azimuth_deg": [20.0, 260.0]})
     log = log.merge(heard.assign(elevation_deg=60.0, cn0_dbhz=[44.0, 25.0]), how="cross")
     return {

@@ -85,9 +85,9 @@ class City(FactsRepr):
 
     Examples:
       >>> city
-      City(CRS: EPSG:32618; extent: 0.6 x 0.6 km; buildings: 130; census blocks: 64; terrain: flat; credit: ...)
+      City(CRS: EPSG:32618; extent: 0.6 x 0.6 km; buildings: 117; census blocks: 28; terrain: flat; credit: ...)
       >>> round(float(city.buildings.height_m.max()))
-      395
+      390
     """
 
     crs: str

@@ -117,7 +117,7 @@ class SoftCity(FactsRepr):
       >>> params = ju.grad.SoftParams(altitude_m=60.0)
       >>> soft = ju.grad.soft_city(city, maps.grid, params)
       >>> soft.names, soft.height_m.shape
-      (('gps', 'lidar', 'population', 'risk'), (130,))
+      (('gps', 'lidar', 'population', 'risk'), (117,))
     """
 
     surface: Surface
@@ -263,7 +263,7 @@ class SoftCity(FactsRepr):
           >>> visits = path_visits(points_m, maps.grid.shape, maps.grid.resolution_m, ju.CostModel())
           >>> by_layer = soft.cost_by_layer(soft.height_m, params, ju.Weights(), visits)
           >>> dict(zip(soft.names, by_layer.round().tolist()))
-          {'gps': 17.0, 'lidar': 128.0, 'population': 5.0, 'risk': 1.0}
+          {'gps': 20.0, 'lidar': 166.0, 'population': 12.0, 'risk': 0.0}
         """
         layers = self.layers(height_m, params, visits.cells)
         return self.layer_weights(weights) * (layers @ visits.times)
@@ -290,7 +290,7 @@ class SoftCity(FactsRepr):
           >>> points_m = path.xy_m - np.array(maps.grid.bounds_m[:2])
           >>> visits = path_visits(points_m, maps.grid.shape, maps.grid.resolution_m, ju.CostModel())
           >>> round(float(soft.path_cost(soft.height_m, params, ju.Weights(), visits)))
-          223
+          283
         """
         by_layer = self.cost_by_layer(height_m, params, weights, visits)
         return weights.distance * visits.length_m + by_layer.sum()

@@ -32,10 +32,10 @@ class Levels:
       InputError: a cost that is negative or not finite.
 
     Examples:
-      >>> levels = ju.Levels(min_altitude_m=40.0, level_step_m=10.0)
+      >>> levels = ju.Levels(level_step_m=10.0)
       >>> planned = ju.plan(maps, start, goal, altitude_m=levels)
       >>> sorted(set(planned.z_m.tolist()))
-      [40.0, 50.0]
+      [20.0, 30.0]
     """
 
     min_altitude_m: float | None = None

@@ -305,9 +305,9 @@ class MetricMaps(FactsRepr):
         Examples:
           >>> gps = maps.m("gps", 60.0)
           >>> gps.shape, round(float(np.nanmean(gps)), 2)
-          ((30, 30), 0.88)
+          ((30, 30), 0.86)
           >>> round(float(np.nanmax(maps.m("roof"))))  # metres
-          395
+          390
         """
         variable = self.variable(name)
         if variable != name and time is not None:
@@ -361,9 +361,9 @@ class MetricMaps(FactsRepr):
         Examples:
           >>> is_free = maps.is_free(20.0)
           >>> is_free.shape, round(float(is_free.mean()), 2)
-          ((30, 30), 0.84)
+          ((30, 30), 0.89)
           >>> round(float(maps.is_free(20.0, "centre").mean()), 2)
-          0.94
+          0.96
         """
         altitude_m = finite("altitude_m", altitude_m)
         rule = obstacles or self.obstacles
@@ -394,7 +394,7 @@ class MetricMaps(FactsRepr):
 
         Examples:
           >>> round(float(maps.is_under_sky(20.0).mean()), 2)
-          0.94
+          0.96
         """
         return self.with_obstacles("centre").is_free(altitude_m)
 
@@ -448,7 +448,7 @@ class MetricMaps(FactsRepr):
         Examples:
           >>> total = maps.total(20.0)
           >>> total.shape, round(float(np.nanmean(total)), 2)
-          ((30, 30), 0.75)
+          ((30, 30), 1.07)
         """
         costs = self.costs(altitude_m, time=time, time_of_day=time_of_day)
         return np.sum([*costs.values()], axis=0)
@@ -489,7 +489,7 @@ class MetricMaps(FactsRepr):
 
         Examples:
           >>> round(float(maps.prefers_gps(20.0).mean()), 2), round(float(maps.prefers_gps(60.0).mean()), 2)
-          (0.87, 0.99)
+          (0.89, 0.98)
         """
         return self.m("gps", altitude_m, time=time) > self.m("lidar", altitude_m)
 

@@ -36,7 +36,7 @@ class ReceptionCurve:
       >>> steep = ju.grad.ReceptionCurve(intercept=0.0, slope=1.5, scale_m=2.0, cut_m=60.0)
       >>> params = ju.grad.SoftParams(altitude_m=60.0, reception=steep)
       >>> soft = ju.grad.soft_city(city, maps.grid, params)
-      >>> cells = np.array([[2, 2], [17, 15]])  # row, column
+      >>> cells = np.array([[17, 15], [12, 12]])  # row, column
       >>> print(soft.layer("gps", soft.height_m, params, cells).round(2))
       [0.11 0.11]
     """
@@ -69,9 +69,9 @@ class ReceptionCurve:
           (-0.19, 0.64, 2.0, 60.0)
           >>> params = ju.grad.SoftParams(altitude_m=60.0, reception=curve)
           >>> soft = ju.grad.soft_city(city, maps.grid, params)
-          >>> cells = np.array([[2, 2], [17, 15]])  # row, column
+          >>> cells = np.array([[17, 15], [12, 12]])  # row, column
           >>> print(soft.layer("gps", soft.height_m, params, cells).round(2))
-          [0.13 0.14]
+          [0.14 0.13]
         """
         source = "taroz/ge-gnss-visibility 58e26fe, data/kinematic: u-blox in a car, Nihonbashi, 251 s, 2023-06-22"
         return cls(intercept=-0.19, slope=0.64, scale_m=2.0, cut_m=60.0, source=source)

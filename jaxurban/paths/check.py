@@ -113,13 +113,13 @@ def check(
       >>> flight = ju.plan(maps, start, goal, altitude_m=60.0, snap=True, on_ground=True)
       >>> flight.save("mission.plan").name
       'mission.plan'
-      >>> print(ju.check(maps, "mission.plan", sources=city, max_people=50).sentence)
+      >>> print(ju.check(maps, "mission.plan", sources=city, max_people=100).sentence)
       Clean: every leg was judged, and nothing was found.
       >>> result = ju.check(maps, "mission.plan", sources=city, max_people=30)
       >>> print(result.sentence)
       Findings: 1.
       >>> result.findings[["kind", "what"]].to_dict("records")
-      [{'kind': 'limit', 'what': '42 people overflown; the limit is 30'}]
+      [{'kind': 'limit', 'what': '69 people overflown; the limit is 30'}]
     """
     # The arguments, the mission as it was read, and the times of the flight: None stands for the maps' first time.
     maps = as_maps(maps)

@@ -171,12 +171,13 @@ class Constraints:
       InputError: a clearance that is not a number of metres from 0 up.
 
     Examples:
-      >>> limits = ju.Constraints(clearance_m=20.0, vehicle=ju.Vehicle(radius_m=0.5))
+      >>> limits = ju.Constraints(clearance_m=40.0, vehicle=ju.Vehicle(radius_m=0.5))
       >>> limits.horizontal_m, limits.vertical_m
-      (20.5, 3.0)
-      >>> apart = ju.plan(maps, start, goal, altitude_m=20.0, constraints=limits)
-      >>> apart.status.value, round(apart.length_m), round(ju.plan(maps, start, goal, altitude_m=20.0).length_m)
-      ('optimal', 864, 813)
+      (40.5, 3.0)
+      >>> apart = ju.plan(maps, start, goal, altitude_m=60.0, objective="distance", constraints=limits)
+      >>> shortest = ju.plan(maps, start, goal, altitude_m=60.0, objective="distance")
+      >>> apart.status.value, round(apart.length_m), round(shortest.length_m)
+      ('optimal', 836, 766)
     """
 
     zones: tuple[Zone, ...] = ()
@@ -398,7 +399,7 @@ class Constraints:
         Examples:
           >>> is_free = ju.Constraints(clearance_m=10.0).is_free(maps, [20.0, 60.0])
           >>> is_free.shape, is_free.sum(axis=(1, 2)).tolist()
-          ((2, 30, 30), [490, 726])
+          ((2, 30, 30), [463, 652])
         """
         is_free = np.stack([maps.is_free(z_m) for z_m in np.atleast_1d(altitude_m).tolist()])
         closed = self.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
@@ -435,7 +436,7 @@ class Constraints:
           >>> limits.closed(maps, 20.0).shape, limits.closed(maps, [20.0, 60.0]).shape
           ((30, 30), (2, 30, 30))
           >>> limits.closed(maps, [20.0, 60.0]).sum(axis=(1, 2)).tolist()
-          [410, 174]
+          [437, 248]
         """
         levels_m = np.atleast_1d(np.asarray(altitude_m, float))
         closed = self._closed_by_zones(maps.grid, levels_m)
@@ -472,7 +473,7 @@ class Constraints:
         Examples:
           >>> limits = ju.Constraints()
           >>> int(limits.is_free(maps, 60.0).sum()), int(limits.is_free_to_ground(maps, 60.0).sum())
-          (878, 282)
+          (852, 501)
         """
         levels_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m < altitude_m]
         is_free = self.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)

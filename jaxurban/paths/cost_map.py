@@ -278,7 +278,7 @@ class CostMap(FactsRepr):
           >>> cost_map = ju.cost_map(maps, 60.0)
           >>> avoiding = cost_map.with_weights({"population": 5.0})
           >>> [round(each.plan(start, goal).length_m) for each in (cost_map, avoiding)]
-          [719, 742]
+          [848, 864]
         """
         other = replace(self, weights=weights_on(self.maps, weights), is_prepared=False)
         other.cache.shortest = self.shortest
@@ -322,7 +322,7 @@ class CostMap(FactsRepr):
         Examples:
           >>> cost_map = ju.cost_map(maps, 60.0)
           >>> {name: round(cost_map.cost_of(name), 1) for name in cost_map.names}
-          {'gps': 0.5, 'lidar': 1.0, 'population': 1.0, 'risk': 0.6}
+          {'gps': 0.6, 'lidar': 1.0, 'population': 1.0, 'risk': 0.6}
         """
         return float(self.costs[self.names.index(name)][self.is_free].max(initial=0.0))
 
@@ -425,7 +425,7 @@ class CostMap(FactsRepr):
 
         Examples:
           >>> ju.cost_map(maps, 20.0).why_closed((1, 6))
-          'in a cell that an obstacle touches at 20 m'
+          'closed by the vertical clearance of 3 m that is kept from obstacles and the border at 20 m'
         """
         return why_closed(self, cell, level)
 
@@ -448,7 +448,7 @@ class CostMap(FactsRepr):
           >>> cost_map = ju.cost_map(maps, 60.0, objective="distance")
           >>> shortest = cost_map.plan(start, goal, planner="theta-star")
           >>> shortest.status.value, len(shortest.xy_m), round(shortest.length_m)
-          ('optimal', 2, 707)
+          ('feasible', 6, 711)
         """
         start_place = one_place("start", start, start_xy_m)
         goal_place = one_place("goal", goal, goal_xy_m)
@@ -464,7 +464,7 @@ class CostMap(FactsRepr):
         Examples:
           >>> from jaxurban.paths.search import PathSearch
           >>> ju.cost_map(maps, 60.0).planned(start, goal, PathSearch.of(planner="ptp")).status.value
-          'feasible'
+          'blocked'
         """
         # The planner: landmarks guide it where the map is prepared and the search leaves its heuristic to it.
         is_guided = self.is_prepared and not search.exposure and search.heuristic is None
@@ -538,7 +538,7 @@ class CostMap(FactsRepr):
           >>> cost_map = ju.cost_map(maps, 60.0)
           >>> means = cost_map.means(cost_map.problem.features(path.search.points_m))
           >>> {name: round(m, 2) for name, m in means.items()}
-          {'gps': 0.88, 'lidar': 0.11, 'population': 0.04, 'risk': 0.99}
+          {'gps': 0.88, 'lidar': 0.02, 'population': 0.07, 'risk': 1.0}
         """
         metrics = self.maps.metrics
         means = {}

@@ -85,9 +85,9 @@ def explain(
     Examples:
       >>> report = ju.explain(path, maps, speed_m_s=10.0)
       >>> [round(report.totals[name]) for name in ("length_m", "time_s", "people_overflown")]
-      [719, 72, 37]
+      [848, 85, 69]
       >>> report.segments[["from_m", "to_m"]].round().to_numpy().tolist()[:2]
-      [[0.0, 77.0], [77.0, 133.0]]
+      [[0.0, 80.0], [80.0, 160.0]]
     """
     maps = as_maps(maps)
     if num_segments < 1:

@@ -240,9 +240,9 @@ def simplify(planned: PlannedPath, cost_map: "CostMap", tolerance_m: float) -> P
     Examples:
       >>> short = ju.simplify(path, ju.cost_map(maps, 60.0), tolerance_m=20.0)
       >>> len(path.xy_m), len(short.xy_m), short.status.value
-      (27, 3, 'feasible')
+      (38, 5, 'feasible')
       >>> short.message
-      '...Simplified to 20 m: 3 of 27 waypoints, at most 12.44 m from the planned path; ...'
+      '...Simplified to 20 m: 5 of 38 waypoints, at most 18.27 m from the planned path; ...'
     """
     if not planned.status.has_path:
         return planned

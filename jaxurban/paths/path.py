@@ -51,13 +51,13 @@ class PlannedPath(FactsRepr):
 
     Examples:
       >>> path
-      PlannedPath(status: optimal; ...; length: 719 m in 27 points; altitude: 60 m; mean metrics: gps 0.88, ...)
-        note: Buildings: the nearest that reaches the flight height is 14.1 m away, 239 m along the route.
+      PlannedPath(status: optimal; ...; length: 848 m in 38 points; altitude: 60 m; mean metrics: gps 0.88, ...)
+        note: Buildings: the nearest that reaches the flight height is 30.0 m away, 486 m along the route.
         ...
       >>> {name: round(cost) for name, cost in path.cost_by_layer.items()}
-      {'distance': 72, 'gps': 17, 'lidar': 127, 'population': 5, 'risk': 1}
+      {'distance': 85, 'gps': 20, 'lidar': 166, 'population': 12, 'risk': 0}
       >>> path.xy_m.shape, path.lonlat[0].round(4).tolist()
-      ((27, 2), [-73.9732, 40.7774])
+      ((38, 2), [-73.9732, 40.7774])
     """
 
     status: Status
@@ -164,7 +164,7 @@ class PlannedPath(FactsRepr):
         Examples:
           >>> record = path.to_dict()
           >>> record["status"], record["num_points"], record["settings"]["cost_model"]
-          ('optimal', 27, 'line')
+          ('optimal', 38, 'line')
         """
         search = self.search
         return {

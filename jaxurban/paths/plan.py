@@ -113,7 +113,7 @@ def cost_map(
       >>> cost_map.facts["weights"]
       'distance 0.1, gps 3, lidar 1, population 1, risk 1'
       >>> cost_map.facts["free"]
-      '81.2% of the cells'
+      '84.8% of the cells'
       >>> cost_map.plan(start, goal).status.value
       'optimal'
     """
@@ -265,7 +265,7 @@ def plan(
     Examples:
       >>> path = ju.plan(maps, start, goal, altitude_m=60.0, weights={"population": 5.0})
       >>> path.status.value, len(path.xy_m), round(path.length_m)
-      ('optimal', 29, 742)
+      ('optimal', 38, 864)
       >>> levels = ju.Levels(min_altitude_m=20.0, max_altitude_m=60.0, level_step_m=20.0)
       >>> climbing = ju.plan(maps, (*start, 20.0), (*goal, 60.0), altitude_m=levels)
       >>> climbing.z_m[[0, -1]].tolist()

@@ -328,9 +328,8 @@ def cautions(
     Examples:
       >>> for caution in ju.cautions(path, maps):
       ...     print(caution.level, caution)
-      note Buildings: the nearest that reaches the flight height is 14.1 m away, 239 m along the route.
-      note Roofs: the lowest pass leaves 23.7 m above a roof of 36.3 m, 267 m along the route.
-      note The goal is in a cell that a roof of 8.9 m touches, over it or beside it.
+      note Buildings: the nearest that reaches the flight height is 30.0 m away, 486 m along the route.
+      note Roofs: the lowest pass leaves 37.0 m above a roof of 23.0 m, 812 m along the route.
     """
     maps = as_maps(maps)
     profile = cautious_profile(planned, maps) if profile is None else profile

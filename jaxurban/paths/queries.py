@@ -223,7 +223,7 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
       >>> len(paths), paths[0].status.value, paths.was_interrupted
       (2, 'optimal', False)
       >>> paths.facts["length"]
-      '1.4 km'
+      '1.7 km'
     """
 
     rows: Sequence[Row]
@@ -300,7 +300,7 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
           >>> paths = ju.plan_many(maps, [(start, goal), (goal, start)], altitude_m=60.0, progress=False)
           >>> table = paths.to_dataframe()
           >>> table[["query", "status", "num_points"]].to_numpy().tolist()
-          [[0, 'optimal', 27], [1, 'optimal', 27]]
+          [[0, 'optimal', 38], [1, 'optimal', 38]]
         """
         table = pd.DataFrame(self.rows)
         if with_points:

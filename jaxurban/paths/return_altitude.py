@@ -47,7 +47,7 @@ class ReturnAltitude(FactsRepr):
     Examples:
       >>> home = ju.return_altitude(maps, start)
       >>> home.altitude_m.shape, round(float(home.at_lonlat(*goal)))
-      ((30, 30), 398)
+      ((30, 30), 393)
     """
 
     maps: MetricMaps
@@ -72,7 +72,7 @@ class ReturnAltitude(FactsRepr):
 
         Examples:
           >>> round(float(ju.return_altitude(maps, start).at_lonlat(*goal)))
-          398
+          393
         """
         return self.altitude_m[self.maps.grid.cell_of_lonlat(lon, lat)]
 

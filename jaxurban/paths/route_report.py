@@ -233,7 +233,7 @@ class RouteReport(FactsRepr):
         Examples:
           >>> record = ju.explain(path, maps, num_segments=3).to_dict()
           >>> round(record["length_m"]), [each["segment"] for each in record["segments"]]
-          (719, [1, 2, 3])
+          (848, [1, 2, 3])
         """
         record: dict[str, Any] = {
             **numbers_or_none(self.settings),
@@ -257,8 +257,8 @@ class RouteReport(FactsRepr):
 
         Examples:
           >>> print(ju.explain(path, maps).table())
-          length m                719
-          cost                    223
+          length m                848
+          cost                    283
           ...
           The most expensive stretch is segment ...% of the length; beside its length it pays most for lidar ...
           ...

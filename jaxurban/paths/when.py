@@ -46,7 +46,7 @@ class Departures(FactsRepr):
     Examples:
       >>> departures = ju.when(maps, [(start, goal)], altitude_m=60.0, progress=False)
       >>> departures.facts["best"]
-      '2020-04-27T16:00:00Z, day, cost 222.96'
+      '2020-04-27T16:00:00Z, day, cost 283.30'
       >>> departures.best, len(departures.table), len(departures.paths)
       (0, 2, 2)
     """
@@ -150,7 +150,7 @@ def when(
       >>> departures.table[["time_of_day", "num_changed"]].to_numpy().tolist()
       [['day', 0], ['night', 2]]
       >>> [round(share, 3) for share in departures.table["above_best"].tolist()]
-      [0.0, 0.057]
+      [0.0, 0.088]
     """
     # The times, and the queries.
     maps = as_maps(maps)

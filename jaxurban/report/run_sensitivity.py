@@ -84,8 +84,8 @@ def sensitivity_study(
       ... )
       >>> result.rows[["city", "status", "elasticity:gps", "below:gps", "above:gps"]].round(2)
          city   status  elasticity:gps  below:gps  above:gps
-      0  demo  optimal            0.08       0.88        NaN
-      1  demo  optimal            0.08        NaN       4.19
+      0  demo  optimal            0.07        NaN        NaN
+      1  demo  optimal            0.07        NaN        NaN
     """
     # Check everything before anything is planned: sources, workers, routes and weights.
     folder = Path(folder)

@@ -48,7 +48,7 @@ class SkyAt(FactsRepr):
     Examples:
       >>> here = ju.sky(city, (-73.971, 40.7795), 20.0)
       >>> here.dops[["num_visible", "num_hidden", "num_unknown"]].to_numpy().tolist()
-      [[1, 0, 6]]
+      [[0, 1, 6]]
     """
 
     lonlat: tuple[float, float]
@@ -76,7 +76,7 @@ class SkyAt(FactsRepr):
         Examples:
           >>> here = ju.sky(city, (-73.971, 40.7795), 20.0)
           >>> here.at(here.times[0]).facts["satellites"]
-          '1 seen, 0 hidden, 6 unknown'
+          '0 seen, 1 hidden, 6 unknown'
         """
         one_of("time", time, self.times)
         return sky_from(self._sight, self.lonlat, self.altitude_m, time=time)
@@ -189,7 +189,7 @@ class SkyAlong(FactsRepr):
     Examples:
       >>> along = ju.sky_along(city, [start, goal], 60.0, "2020-04-27T16:00:00Z")
       >>> along.table[["num_visible", "has_fix"]].to_numpy().tolist()
-      [[1, False], [3, False]]
+      [[2, False], [3, False]]
     """
 
     table: pd.DataFrame
@@ -243,7 +243,7 @@ def sky_along(
     Examples:
       >>> flown = ju.sky_along(city, path, times="2020-04-27T16:00:00Z", speed_m_s=10.0)
       >>> len(flown.table), list(flown.table)[:4]
-      (73, ['time', 'lon', 'lat', 'altitude_m'])
+      (86, ['time', 'lon', 'lat', 'altitude_m'])
     """
     sight = Sight.of(where, gps, sources)
     heard = None

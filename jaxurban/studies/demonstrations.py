@@ -56,9 +56,9 @@ class Demonstration:
     Examples:
       >>> (routes,) = ju.fit.demonstrations_from_paths(path, maps)
       >>> routes.query.start, routes.query.goal, routes.points_m.shape, routes.drawn_cells
-      ((2, 2), (27, 27), (27, 2), 0.0)
+      ((2, 2), (27, 27), (38, 2), 0.0)
       >>> dict(zip(routes.query.names, routes.features.round().tolist()))  # metres, then sums of costs
-      {'distance': 719.0, 'gps': 17.0, 'lidar': 127.0, 'population': 5.0, 'risk': 1.0}
+      {'distance': 848.0, 'gps': 20.0, 'lidar': 166.0, 'population': 12.0, 'risk': 0.0}
     """
 
     query: RouteQuery
@@ -172,7 +172,7 @@ def read_demonstrations(
       >>> flown = path.save("flown.geojson")
       >>> (routes,) = ju.fit.read_demonstrations(flown, maps)
       >>> routes.query.name, routes.query.cost_map.altitude_m, routes.points_m.shape
-      ('1', 60.0, (27, 2))
+      ('1', 60.0, (38, 2))
     """
     if Path(file).suffix.lower() in SUFFIXES:
         raise InputError(

@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from jsonschema import Draft202012Validator, ValidationError
@@ -190,6 +191,11 @@ def test_a_budget_that_is_spent_without_a_path_is_an_object(
 def test_a_study_is_an_object(code, tmp_path, capsys, made):
     planner, altitude_m = ("ptp", 20) if code else ("astar-plus", 60)
     town = (made.parent / "town.toml").read_text(encoding="utf-8")
+    if code == ExitCode.NO_PATH:  # a town of closed yards
+        west, south, east, north = -74.0, 40.755, -73.993, 40.761
+        walls = [box(x, south, x + 1e-4, north) for x in np.linspace(west, east, 8)]
+        walls += [box(west, y, east, y + 1e-4) for y in np.linspace(south, north, 8)]
+        town = write_city(tmp_path, *walls).read_text(encoding="utf-8")
     (tmp_path / "town.toml").write_text(
         f'{town}[study]\ninstances = 2\naltitudes_m = [{altitude_m}]\nplanners = ["{planner}"]\n'
     )

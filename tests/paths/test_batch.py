@@ -23,7 +23,8 @@ METRES = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
 @pytest.fixture(scope="module")
 def pairs(town):
     """Six pairs of places that are free at 20 m, longitude and latitude."""
-    cells = np.random.default_rng(0).choice(np.argwhere(town.is_free(20.0)), (6, 2))
+    is_free = ju.Constraints().is_free(town, 20.0)
+    cells = np.random.default_rng(0).choice(np.argwhere(is_free), (6, 2))
     return [
         tuple(tuple(map(float, town.grid.lonlat_of_cell(*cell))) for cell in pair) for pair in cells
     ]

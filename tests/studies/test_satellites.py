@@ -143,7 +143,10 @@ def test_places_in_a_building_are_left_out_and_counted():
     assert inside.is_inside.all()
     assert not inside.is_judged.any()
     assert inside.margin_m.isna().all()
-    assert of.summary["inside"] == inside.is_known.sum() > 0
+    assert inside.is_known.any()
+    assert (
+        of.summary["inside"] == of.rows[of.rows.is_inside].is_known.sum()
+    )  # the drive cuts a corner elsewhere
 
 
 @pytest.mark.slow

@@ -118,8 +118,8 @@ def sample_instances(
       >>> instances[["instance", "altitude_m", "w_risk", "is_connected"]]
          instance  altitude_m  w_risk  is_connected
       0         0        20.0     5.0         False
-      1         1        20.0     5.0         False
-      2         2        20.0     5.0         False
+      1         1        20.0     5.0          True
+      2         2        20.0     5.0          True
       3         0        60.0     5.0          True
       4         1        60.0     5.0          True
       5         2        60.0     5.0          True

@@ -61,7 +61,7 @@ class ReceiverValidation(Result):
     Examples:
       >>> result = ju.studies.validate(scenario, log, progress=False)
       >>> result.summary["judged"], result.summary["unknown"], result.summary["inside"]
-      (122, 15, 23)
+      (124, 15, 21)
       >>> result.rows[["satellite", "margin_m", "state", "cn0_dbhz"]].head(1).to_dict("records")
       [{'satellite': 'G05', 'margin_m': inf, 'state': 'seen', 'cn0_dbhz': 44.0}]
     """
@@ -138,7 +138,7 @@ class ReceiverValidation(Result):
         Examples:
           >>> result = ju.studies.validate(scenario, log, progress=False)
           >>> result.score("G")[["which", "rows"]].to_dict()
-          {'which': 'G', 'rows': 122}
+          {'which': 'G', 'rows': 124}
         """
         return self.scores[self.scores.which == which].iloc[0]
 
@@ -182,7 +182,7 @@ def validate(
     Examples:
       >>> result = ju.studies.validate(scenario, log, progress=False)
       >>> result.rows["state"].value_counts().to_dict()
-      {'seen': 92, 'unknown': 38, 'hidden': 30}
+      {'seen': 103, 'unknown': 36, 'hidden': 21}
     """
     settings = settings or ReceiverSettings()
     with reporting("validate", progress) as report:

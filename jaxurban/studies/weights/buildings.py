@@ -106,7 +106,7 @@ def building_costs(
       >>> table[["building", "per_metre", "height_m", "origin"]].head(1).round(4)
             building  per_metre  height_m     origin
       rank
-      1           32     0.0023     380.0  generated
+      1          101      0.084      96.9  generated
     """
     # [B] gradients of all buildings, by layer and in sum; the listed ones are numbers of buildings, in their order.
     assert city.buildings is not None

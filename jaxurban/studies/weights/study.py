@@ -50,7 +50,7 @@ class Sensitivity(Result):
       >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
       >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
       >>> {name: len(line.cells) for name, line in result.lines.items()}, result.route.status.value
-      ({'gps': 3}, 'optimal')
+      ({'gps': 5}, 'optimal')
     """
 
     _command = "sensitivity"
@@ -105,7 +105,7 @@ class Sensitivity(Result):
           >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
           >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
           >>> result.breakpoints("gps")["is_given"].tolist()
-          [False, True, False]
+          [True, False, False, False, False]
         """
         line = self.lines[one_of("name", name, self.lines)]
 
@@ -231,9 +231,9 @@ def sensitivity(
       >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
       >>> result = ju.studies.sensitivity(ju.cost_map(maps, 60.0), start, goal, settings=quick)
       >>> result.cost["elasticity"].round(2).to_dict()
-      {'distance': 0.32, 'gps': 0.08, 'lidar': 0.57, 'population': 0.02, 'risk': 0.01}
-      >>> result.breakpoints("gps")["to"].round(2).tolist()  # three routes, by the weight up to which each is cheapest
-      [0.44, 3.03, 10.0]
+      {'distance': 0.3, 'gps': 0.07, 'lidar': 0.59, 'population': 0.04, 'risk': 0.0}
+      >>> result.breakpoints("gps")["to"].round(2).tolist()  # five routes, by the weight up to which each is cheapest
+      [1.43, 1.7, 3.57, 7.62, 10.0]
     """
     # The query, its route, and the columns of the weights that vary.
     check_flat(cost_map)
