@@ -5,9 +5,10 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.fill import fillnodata
 
@@ -108,49 +109,11 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
         laspy.open(path, read_evlrs=False, decompression_selection=used) as reader,
     ):
         header = reader.header
-        # Points that are not packed end where other records begin, or with the file; a rest shorter than one is none.
-        begin = header.offset_to_point_data
-        size = Path(path).stat().st_size
-        ends = header.start_of_first_evlr, header.start_of_waveform_data_packet_record, size
-        num_bytes = min(end for end in ends if end > begin) - begin
-        num_held = num_bytes // header.point_format.size
         if header.are_points_compressed:
-            # Of more chunks than bytes lazrs would end the process.
-            (table,) = np.fromfile(path, "<i8", 1, offset=begin)
-            _, num_chunks = np.fromfile(path, "<u4", 2, offset=max(table, 0))
-            if num_chunks > size:
-                raise ValueError
-            # For longer chunks than the file, or longer layers than a chunk, it would make room. A chunk is its first
-            # point and, of later formats, how many points it has, how long its layers are, and these.
-            (record,) = header.vlrs.get("LasZipVlr")
-            num_layers = POINT_LAYERS * (header.point_format.id >= LAYERED)
-            with Path(path).open("rb") as file:
-                file.seek(begin)
-                chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(record.record_data_bytes()))
-                begin += TABLE_BYTES
-                for _, num_bytes in chunks:
-                    file.seek(begin + header.point_format.size + 4)
-                    begin += num_bytes
-                    lengths = np.fromfile(file, "<u4", num_layers)
-                    if begin > size or lengths.sum() > num_bytes:
-                        raise ValueError
-        elif num_held != header.point_count:
-            raise InputError(NOT_WHOLE.format(name, header.point_count, f"{num_held:,}"))
-
-        parsed = None
-        with suppress(CRSError):
-            parsed = header.parse_crs()
-        text = declared or (parsed and parsed.srs)
-        if text is None:
-            raise InputError(
-                f"{name} declares no CRS that is known: set [buildings] crs to that of the plan and of the heights, as "
-                'in "EPSG:28992+5709", or write it into the header with `pdal translate IN OUT --writers.las.a_srs=...`'
-            )
-        crs = known_crs(text, f" of {name}")
-        records = header.vlrs.get("GeoKeyDirectoryVlr")
-        keys = {key.id: key.value_offset for record in records for key in record.geo_keys}
-        unit = UNITS.get(keys.get(UNIT_KEY, keys.get(CRS_KEY)), "an unknown one")
-        unit_m = unit_of_heights_m(name, crs.to_wkt(), unit)
+            _check_chunks(path, header, lazrs)
+        else:
+            _check_all_held(path, header)
+        crs, unit_m = _crs_and_unit(name, header, declared)
         x_min, y_min, x_max, y_max = box = [*map(float, (*header.mins[:2], *header.maxs[:2]))]
         check_on_earth(name, crs, box)
 
@@ -194,3 +157,79 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
         on_grid(highest),
         {f"of class {number}": int(count) for number, count in enumerate(counts)},
     )
+
+
+def _check_all_held(path: str | Path, header: Any) -> None:
+    """Check that a file holds as many points, which are not packed, as its header says.
+
+    Raises:
+      InputError: it holds more or fewer.
+    """
+    # Points end where other records begin, or with the file; a rest shorter than a point is none.
+    begin = header.offset_to_point_data
+    size = Path(path).stat().st_size
+    ends = header.start_of_first_evlr, header.start_of_waveform_data_packet_record, size
+    num_bytes = min(end for end in ends if end > begin) - begin
+    num_held = num_bytes // header.point_format.size
+    if num_held != header.point_count:
+        raise InputError(NOT_WHOLE.format(repr(str(path)), header.point_count, f"{num_held:,}"))
+
+
+def _check_chunks(path: str | Path, header: Any, lazrs: Any) -> None:
+    """Check that the chunks of packed points, and their layers, lie within their file, as lazrs makes room for them.
+
+    Args:
+      path: of the file.
+      header: of it.
+      lazrs: the library.
+
+    Raises:
+      ValueError: they are longer, or more chunks than the file has bytes, of which lazrs would end the process.
+    """
+    begin = header.offset_to_point_data
+    size = Path(path).stat().st_size
+    (table,) = np.fromfile(path, "<i8", 1, offset=begin)
+    _, num_chunks = np.fromfile(path, "<u4", 2, offset=max(table, 0))
+    if num_chunks > size:
+        raise ValueError
+
+    # A chunk is its first point and, of later formats, how many points it has, how long its layers are, and these.
+    (record,) = header.vlrs.get("LasZipVlr")
+    num_layers = POINT_LAYERS * (header.point_format.id >= LAYERED)
+    with Path(path).open("rb") as file:
+        file.seek(begin)
+        chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(record.record_data_bytes()))
+        chunk_begin = begin + TABLE_BYTES
+        for _, num_bytes in chunks:
+            file.seek(chunk_begin + header.point_format.size + 4)
+            layer_bytes = np.fromfile(file, "<u4", num_layers)
+            chunk_begin += num_bytes
+            if chunk_begin > size or layer_bytes.sum() > num_bytes:
+                raise ValueError
+
+
+def _crs_and_unit(name: str, header: Any, declared: str | None) -> tuple[CRS, float]:
+    """Return the CRS of points, and how many metres the unit of their heights is.
+
+    Args:
+      name: of the file, for messages.
+      header: of it.
+      declared: the CRS in place of the one that the header names.
+
+    Raises:
+      InputError: no CRS, or a unit of heights that is not known.
+    """
+    parsed = None
+    with suppress(CRSError):
+        parsed = header.parse_crs()
+    text = declared or (parsed and parsed.srs)
+    if text is None:
+        raise InputError(
+            f"{name} declares no CRS that is known: set [buildings] crs to that of the plan and of the heights, as "
+            'in "EPSG:28992+5709", or write it into the header with `pdal translate IN OUT --writers.las.a_srs=...`'
+        )
+    crs = known_crs(text, f" of {name}")
+    records = header.vlrs.get("GeoKeyDirectoryVlr")
+    keys = {key.id: key.value_offset for record in records for key in record.geo_keys}
+    unit = UNITS.get(keys.get(UNIT_KEY, keys.get(CRS_KEY)), "an unknown one")
+    return crs, unit_of_heights_m(name, crs.to_wkt(), unit)
