@@ -6,6 +6,7 @@ flies straight. `Leg.profile` says where this does not hold.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -232,12 +233,53 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     Raises:
       InputError: a mission that is too long over the maps.
     """
-    # Where the segments of the mission begin and end.
+    # Where the segments of the mission begin and end, how high, and how much of each lies over the maps.
     maps = ground.maps
     segments = Segments.of(mission, ground.is_flat).with_home_at(mission)
     ends_m = np.nan_to_num(maps.grid.xy_at(segments.lonlat), posinf=NOWHERE_M)
+    z_m, lacks = _heights_m(mission, segments, ends_m, ground, geoid_m)
+    shares = _shares_within(ends_m, maps.grid.bounds_m)
+    along_m = _along_m(segments, ends_m, z_m, (shares == [0, 1]).all(axis=1))
+    is_known = np.isfinite(z_m).all(axis=1)
+    enters = shares[:, 0] < shares[:, 1]
 
-    # Their heights: above the zero of the terrain, or above the ground for segments that follow it.
+    # What is not known is not judged.
+    unknown = [
+        *_without_height(mission, segments, along_m, z_m, lacks),
+        *_outside(along_m, shares, enters),
+    ]
+
+    # The rest, cut into steps: of the mission, and of its variants.
+    states = np.dstack([ends_m, z_m, along_m])
+    is_main = ~segments.is_variant
+    ways = []
+    for is_of_way in (is_main, ~is_main):
+        flown = np.flatnonzero(enters & is_known & is_of_way)
+        inside = between(states[flown], shares[flown])
+        follows_ground = segments.follows_ground[flown]
+        ways.append(steps_of(inside, segments.leg[flown], follows_ground, ground))
+    steps, variants = ways
+    length_m = float(along_m[is_main].max(initial=0.0))
+    lines_m = between(ends_m, shares)[enters & is_main]
+    return Flight(mission, steps, variants, pd.concat(unknown), length_m, ground, lines_m)
+
+
+def _heights_m(
+    mission: Mission,
+    segments: Segments,
+    ends_m: np.ndarray,
+    ground: Elevation,
+    geoid_m: float | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``[S, 2]`` heights of begin and end of each segment, NaN where not known, and which datum these lack.
+
+    Heights are above the zero of the terrain, or above the ground for segments that follow it.
+
+    Args:
+      mission, ground, geoid_m: as of `flight_of`.
+      segments: of the mission.
+      ends_m: ``[S, 2, 2]`` x, y of begin and end of each.
+    """
     ground_m = ground.at(ends_m)
     zeros_m = _zeros_m(mission, ground, geoid_m)
     zero_m = np.vectorize(zeros_m.get, otypes=[float])(segments.datum, ground_m)
@@ -252,49 +294,56 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     lacks = np.where(follows_ground[:, None] & np.isnan(ground_m), "ground", segments.datum)
     if geoid_m is not None:
         lacks[lacks == "ellipsoid"] = "geoid"  # which is what lacks a height then
-    shares = _shares_within(ends_m, maps.grid.bounds_m)
-    along_m = _along_m(segments, ends_m, z_m, (shares == [0, 1]).all(axis=1))
+    return z_m, lacks
 
-    # Segments without a height over the ground, by the reason: the first of their ends that has none counts.
+
+def _without_height(
+    mission: Mission, segments: Segments, along_m: np.ndarray, z_m: np.ndarray, lacks: np.ndarray
+) -> Iterator[pd.DataFrame]:
+    """Yield the spans of segments without a height over the ground, by the reason.
+
+    The first of a segment's ends that has none counts.
+
+    Args:
+      mission: what is flown.
+      segments: of the mission.
+      along_m: ``[S, 2]`` metres flown at begin and end of each.
+      z_m, lacks: their heights and what they lack, from `_heights_m`.
+    """
     is_known = np.isfinite(z_m).all(axis=1)
     is_open = np.zeros(len(z_m), bool)
     for number in np.flatnonzero(~is_known):
         is_open[number] = any(map(_is_open, segments.place[number]))
+
     # Returns from a known height: a return altitude answers for these alone.
     legs = mission.legs
     returns = {leg.item for leg in legs if leg.kind == "return" and not _is_open(leg.start)}
     answers = is_open & np.array([leg.item in returns for leg in legs], bool)[segments.leg]
-    unknown = [
-        spans(along_m[answers], "height", NO_RETURN),
-        spans(along_m[is_open & ~answers], "height", NO_HEIGHT),
-    ]
-    lacks = np.where(np.isnan(z_m[:, 0]), lacks[:, 0], lacks[:, 1])
-    for datum, reason in NO_ZERO.items():
-        is_without = ~is_known & ~is_open & (lacks == datum)
-        unknown.append(spans(along_m[is_without], "height", reason))
+    yield spans(along_m[answers], "height", NO_RETURN)
+    yield spans(along_m[is_open & ~answers], "height", NO_HEIGHT)
 
-    # What lies outside the maps: of a segment what comes before it enters them and after it leaves them. A segment that
-    # does not meet them is taken to enter and leave them at its end, so that all of it comes before.
-    enters = shares[:, 0] < shares[:, 1]
+    first_lacks = np.where(np.isnan(z_m[:, 0]), lacks[:, 0], lacks[:, 1])
+    for datum, reason in NO_ZERO.items():
+        is_without = ~is_known & ~is_open & (first_lacks == datum)
+        yield spans(along_m[is_without], "height", reason)
+
+
+def _outside(along_m: np.ndarray, shares: np.ndarray, enters: np.ndarray) -> Iterator[pd.DataFrame]:
+    """Yield the spans outside the maps: of a segment before it enters them, and after it leaves them.
+
+    A segment that does not meet them is taken to enter and leave them at its end, so that all of it comes before.
+
+    Args:
+      along_m: ``[S, 2]`` metres flown at begin and end of each segment.
+      shares: ``[S, 2]`` of the way, from `_shares_within`.
+      enters: ``[S]`` whether each meets the maps.
+    """
     enter_m, leave_m = np.where(enters[:, None], between(along_m, shares), along_m[:, 1:]).T
     before_m = np.column_stack([along_m[:, 0], enter_m])
     after_m = np.column_stack([leave_m, along_m[:, 1]])
     for outside_m in (before_m, after_m):
         is_stretch = (outside_m[:, 0] < outside_m[:, 1]) | ~enters
-        unknown.append(spans(outside_m[is_stretch], "outside", OUTSIDE))
-
-    # The rest, cut into steps: of the mission, and of its variants.
-    states = np.dstack([ends_m, z_m, along_m])
-    is_main = ~segments.is_variant
-    ways = []
-    for is_of_way in (is_main, ~is_main):
-        flown = np.flatnonzero(enters & is_known & is_of_way)
-        inside = between(states[flown], shares[flown])
-        ways.append(steps_of(inside, segments.leg[flown], follows_ground[flown], ground))
-    steps, variants = ways
-    length_m = float(along_m[is_main].max(initial=0.0))
-    lines_m = between(ends_m, shares)[enters & is_main]
-    return Flight(mission, steps, variants, pd.concat(unknown), length_m, ground, lines_m)
+        yield spans(outside_m[is_stretch], "outside", OUTSIDE)
 
 
 def _along_m(
