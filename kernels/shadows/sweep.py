@@ -374,7 +374,7 @@ def _words(
         some = jax.tree.map(lambda all_: lax.dynamic_slice_in_dim(all_, first, together), lines)
         satellite = (first + jnp.arange(together))[:, None, None, None]
         shadow_m = cast(some)[:, None, *_kept(window)]
-        seen = (shadow_m <= height_m) & (satellite < num)
+        seen = (shadow_m <= height_m[None]) & (satellite < num)
         bits = seen.astype(jnp.uint32) << (satellite % WORD_BITS).astype(jnp.uint32)
         return words.at[first // WORD_BITS].add(jnp.sum(bits, axis=0, dtype=jnp.uint32))
 

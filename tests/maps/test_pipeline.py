@@ -176,7 +176,9 @@ def test_it_maps_over_five_cities_of_one_shape_their_skies_and_thresholds():
             held = held[0] if "time" in expected[k][name].dims else held
             if "altitude" in expected[k][name].dims:
                 found, held = found[~is_obstacle], held[~is_obstacle]
-            np.testing.assert_allclose(found, held, rtol=1e-6, err_msg=name)
+            # The metric of GPS is 1 less a quotient, which is rounded where it is near 1.
+            atol = 2e-7 if name == "gps" else 0
+            np.testing.assert_allclose(found, held, rtol=1e-6, atol=atol, err_msg=name)
     assert len({float(np.nanmean(ds["gps"])) for ds in expected}) == 5
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from jaxurban.planners.compiled_first import _few_cells, _few_points
 from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
-from jaxurban.planners.simplify import simplify
+from jaxurban.planners.simplify import simplify_path
 from tests.planners.problems import random_problem
 
 def problem(dtype, kind, num_levels):
@@ -49,7 +49,7 @@ def check(name, num_levels):
                 path = entry.run(query, budget_s=60.0, **chosen, **limit)
                 assert used() == before, (name, heuristic, dtype, kind, used() - before)
                 assert path.setup_s < 1.0, path.setup_s
-            alterations = [(simplify, 2.0)] + [(refine,)] * (kind == "line" and not num_levels)
+            alterations = [(simplify_path, 2.0)] + [(refine,)] * (kind == "line" and not num_levels)
             assert path.status.has_path or name == "ptp"
             for alter, *how in alterations if path.status.has_path else ():
                 alter(_few_cells(query), _few_points(_few_cells(query)), *how)
