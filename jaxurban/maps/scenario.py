@@ -28,12 +28,12 @@ from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.samples import filled, is_sample, located
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.params import MapParams
-from jaxurban.metrics.custom import Layer, check_layers, known_beside
+from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Dop, Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.population import Population
 from jaxurban.metrics.protection import Protection
-from jaxurban.metrics.registry import METRICS, ON_REQUEST
+from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.settings import (
@@ -312,7 +312,7 @@ class Scenario(BaseModel):
                 raise ValueError(
                     f"layers.{name}: source must be the path of a raster, got {layer.source!r}"
                 )
-        metrics = [*self.layers, *(metric.name for metric in known_beside(self.layers))]
+        metrics = [*self.layers, *known_metrics()]
         for where, table in self._weight_tables.items():
             try:
                 table.checked(metrics)
@@ -417,7 +417,7 @@ class Scenario(BaseModel):
 
     def _request_what_is_weighed(self) -> None:
         """Add a section of defaults, in place, for each metric on request that has a weight above 0 and no section."""
-        for metric in known_beside(self.layers):
+        for metric in known_metrics().values():
             tables = self._weight_tables.values()
             is_weighed = any(table.to_dict().get(metric.name) for table in tables)
             is_on_request = metric.section in ON_REQUEST

@@ -23,7 +23,6 @@ from jaxurban.metrics.base import (
     COSTS,
     TIME,
     TIME_OF_DAY,
-    AnyArray,
     Metric,
     Scale,
     Scene,
@@ -31,7 +30,7 @@ from jaxurban.metrics.base import (
     Variable,
 )
 from jaxurban.metrics.registry import METRICS, known_metrics
-from jaxurban.metrics.variables import AUXILIARY_VARIABLES, SERIES, derived
+from jaxurban.metrics.variables import AUXILIARY_VARIABLES, derived
 from jaxurban.settings import not_negative
 from jaxurban.world.surface import Surface
 
@@ -39,26 +38,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
-# Names of release 1.0's metrics are theirs, and those of later ones may be a layer's (`known_beside`).
-OF_RELEASE_1 = (
-    *("gps", "lidar", "population", "risk"),
-    *("gps_horizontal", "gps_vertical", "protection"),
-)
-# Of a metric's map, behind its name.
-DERIVED = (*SERIES, "epoch_mean", "worst_time", "lower", "upper", "mean", "std", "p95")
-RESERVED_NAMES = {
-    *("distance", "climb", "descent", "self", "lon", "lat"),
-    *(ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref"),
-    *AUXILIARY_VARIABLES,
-    *OF_RELEASE_1,
-    *("gdop", "pdop", "hdop", "vdop", "tdop", "num_visible"),
-    *("density", "hpl", "vpl", "within_limits"),
-    *(f"{name}_{what}" for name in OF_RELEASE_1 for what in DERIVED),
-}
+_OF_ROUTES = ("distance", "climb", "descent", "self", "lon", "lat")
+_OF_MAPS = (ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref", *AUXILIARY_VARIABLES)
 LAYERS = "layers"  # section of a scenario
 MOST_BEYOND = 0.01  # of a layer's values at one number beyond its scale
 FAR = 10.0
-LONG = "metric_"  # begins the names of a built-in metric whose own are those of layers
 # What a file's name holds behind that of its variable: an altitude, a time of day, a time.
 _OF_A_FILE = re.compile(r"\w+_(\d+m|day|night|\d{8}T\d{6}Z)")
 
@@ -190,17 +174,26 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
         raise InputError(
             'layers must be Layers by name, such as {"noise": Layer("noise.tif", "high-is-bad", (0, 80))}'
         )
+    reserved = reserved_names()
     for name in by_name:
         if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
             raise InputError(
                 f"a layer's name must be letters, digits and _ such as noise_2024, got {name!r}"
             )
         # Also names that end in an altitude, a time or a time of day, as those of the maps' files do.
-        if name in RESERVED_NAMES or _OF_A_FILE.fullmatch(name):
+        if name in reserved or _OF_A_FILE.fullmatch(name):
             raise InputError(
                 f"a layer cannot be called {name!r}: maps, their files or weights use such names: give another name"
             )
     return by_name
+
+
+def reserved_names() -> set[str]:
+    """Return the names that no layer has, as those of metrics, of their maps and of columns of tables."""
+    names = {*_OF_ROUTES, *_OF_MAPS}
+    for metric in known_metrics().values():
+        names.update(metric.variables, *derived(metric).values())
+    return names
 
 
 def own_metric(name: str, layer: Layer) -> Metric:
@@ -229,64 +222,6 @@ def own_metric(name: str, layer: Layer) -> Metric:
     )
 
 
-def known_beside(layers: Collection[str]) -> list[Metric]:
-    """Return the built-in metrics under names that differ from those of a user's layers.
-
-    The metrics of `OF_RELEASE_1` keep their names, which `check_layers` refuses to layers. If a layer has the name of
-    another metric, or that of a map derived from it, the metric is called ``metric_NAME``. The same holds for each of
-    the metric's further variables.
-
-    Args:
-      layers: names of the user's layers.
-    """
-    return [_beside(metric, layers) for metric in known_metrics().values()]
-
-
-def _beside(metric: Metric, layers: Collection[str]) -> Metric:
-    """Return a metric with all of its variables under names that no layer has; those of release 1 keep their names.
-
-    Args:
-      metric: a built-in one.
-      layers: names of a user's layers.
-    """
-    if metric.name in OF_RELEASE_1:
-        return metric
-    names = {name: _free_name(name, layers) for name in metric.variables}
-    if all(name == free for name, free in names.items()):
-        return metric
-    return replace(
-        metric,
-        name=names[metric.name],
-        compute=partial(_renamed, metric.compute, names),
-        also=tuple(replace(variable, name=names[variable.name]) for variable in metric.also),
-        available=names.get(metric.available, ""),
-        colour=colour_of(names[metric.name]),
-    )
-
-
-def _free_name(name: str, layers: Collection[str]) -> str:
-    """Return a variable's name with `LONG` put before it until neither it nor a name derived from it is a layer's."""
-    derived_names = {f"{name}_{what}" for what in DERIVED}
-    is_taken = not derived_names.union([name]).isdisjoint(layers)
-    return _free_name(LONG + name, layers) if is_taken else name
-
-
-def _renamed(
-    compute: Callable[[Scene, Any], Mapping[str, AnyArray]],
-    names: Mapping[str, str],
-    scene: Scene,
-    settings: Any,
-) -> dict[str, AnyArray]:
-    """Return the maps that a metric computes, under other names.
-
-    Args:
-      compute: of the metric (`Metric.compute`).
-      names: new name of each variable by its own.
-      scene, settings: what ``compute`` gets.
-    """
-    return {names[name]: values for name, values in compute(scene, settings).items()}
-
-
 def metrics_of(
     requested: Collection[str], layers: Mapping[str, Layer], has_people: bool
 ) -> dict[str, Metric]:
@@ -298,7 +233,9 @@ def metrics_of(
       has_people: whether there are census blocks, which metrics with a time of day need; these are left out otherwise.
     """
     wanted = {*METRICS, *requested}
-    built_in = [metric for metric in known_beside(layers) if wanted & {metric.section, metric.name}]
+    built_in = [
+        metric for metric in known_metrics().values() if wanted & {metric.section, metric.name}
+    ]
     own = [own_metric(name, layer) for name, layer in sorted(layers.items())]
     return {
         metric.name: metric
@@ -329,7 +266,7 @@ def held_metrics(ds: "xr.Dataset") -> dict[str, Metric]:
     }
     metrics = {
         metric.name: metric
-        for metric in known_beside(records)
+        for metric in known_metrics().values()
         if metric.name in variables
         or (TIME in metric.dims and f"{metric.name}_median" in variables)
     }

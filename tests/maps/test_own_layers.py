@@ -17,7 +17,7 @@ from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
-from jaxurban.metrics.custom import Layer, known_beside
+from jaxurban.metrics.custom import Layer, reserved_names
 from jaxurban.metrics.registry import METRICS
 from jaxurban.world.grid import Grid
 from tests import tiled_runs
@@ -71,6 +71,12 @@ def task(tmp_path_factory):
     return replace(plain, layers=layers, bands=bands)
 
 
+def test_no_layer_has_the_name_of_a_metric_its_maps_or_a_column_of_tables():
+    used = {"gps", "gdop", "hpl", "protection", "gps_p05", "lidar_mean", "roof", "distance"}
+    assert used <= reserved_names()
+    assert "noise" not in reserved_names()
+
+
 @pytest.fixture(scope="module")
 def maps(task):
     return compute_maps(task)
@@ -82,8 +88,7 @@ def test_tiles_of_own_layers_equal_the_untiled_maps_bit_for_bit(task, tmp_path):
 
 
 def test_layers_are_scaled_by_fixed_numbers_and_cut_and_bands_go_by_altitude(task, maps):
-    built_in = [metric.name for metric in known_beside(task.layers) if metric.section in METRICS]
-    assert [*maps.metrics] == [*built_in, "noise", "shade", "walls", "wind"]
+    assert [*maps.metrics] == [*METRICS, "noise", "shade", "walls", "wind"]
     m, values = maps.m("shade", 20.0), np.clip(task.layers["shade"].source, 0, 1)
     np.testing.assert_allclose(m, values, rtol=1e-6)
     np.testing.assert_allclose(maps.costs(20.0)["shade"], 1 - values, atol=1e-6)
