@@ -94,8 +94,13 @@ SKY = {
 }
 
 
-def maps_with(**given: Any) -> ju.MetricMaps:
-    return on.made(population=ju.Population(**given))
+def made(**given: Any) -> Any:
+    """Return maps without their attributes, which name settings that change no value as well."""
+    return on.made(**given).ds.drop_attrs()
+
+
+def maps_with(**given: Any) -> Any:
+    return made(population=ju.Population(**given))
 
 
 def with_people(**given: Any) -> Any:
@@ -103,8 +108,8 @@ def with_people(**given: Any) -> Any:
     return on.read(population=ju.Population(**files | given))
 
 
-def with_gps(**given: Any) -> ju.MetricMaps:
-    return on.made(gps=ju.Gps(**given))
+def with_gps(**given: Any) -> Any:
+    return made(gps=ju.Gps(**given))
 
 
 def under_trees(**given: Any) -> Any:
@@ -152,10 +157,10 @@ def scenario(**region: Any) -> Any:
     return [compute_maps(task) for task in tasks_of(of)]
 
 
-def protected(**given: Any) -> ju.MetricMaps:
+def protected(**given: Any) -> Any:
     usual = {"horizontal_alert_limit_m": 20.0, "vertical_alert_limit_m": 30.0}
     gps = given.pop("gps", ju.Gps())
-    return on.made(protection=ju.metrics.Protection(**usual | given), gps=gps)
+    return made(protection=ju.metrics.Protection(**usual | given), gps=gps)
 
 
 def saved(**given: Any) -> bytes:
@@ -251,7 +256,7 @@ USES: dict[str, Callable[..., Any]] = {
     "Levels": lambda **given: on.planned(
         start=(*START, 60.0), goal=(*GOAL, 60.0), altitude_m=ju.Levels(**given)
     ),
-    "Lidar": lambda **given: on.made(lidar=ju.Lidar(**given)),
+    "Lidar": lambda **given: made(lidar=ju.Lidar(**given)),
     "MetricMaps.m": lambda **given: on.maps().m(
         given.pop("name", "gps"), **{"altitude_m": 20.0, **given}
     ),
@@ -268,7 +273,7 @@ USES: dict[str, Callable[..., Any]] = {
     "Planning": on.under,
     "Population": maps_with,
     "Region": scenario,
-    "Risk": lambda **given: on.made(risk=ju.Risk(**given)),
+    "Risk": lambda **given: made(risk=ju.Risk(**given), resolution_m=20.0),
     "Scenario.from_toml": lambda **given: ju.Scenario.from_toml(home() / "town.toml", **given),
     "Scenario.from_dict": lambda **given: (
         ju.Scenario.from_dict(
@@ -332,7 +337,7 @@ USES: dict[str, Callable[..., Any]] = {
         on.on().problem.between((9, 2), (9, 30)), **given
     )(on.on().costs, on.on().weight_vector),
     "soft_city": lambda **given: on.soft(ju.grad.SoftParams(20.0), **given),
-    "Dop": lambda **given: on.made(gps_horizontal=ju.metrics.Dop(**given)),
+    "Dop": lambda **given: made(gps_horizontal=ju.metrics.Dop(**given)),
     "Protection": protected,
     "MapsFolder": lambda **given: ju.studies.MapsFolder(
         home() / "maps", **{"resolution_m": 20.0} | given
