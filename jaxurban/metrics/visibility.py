@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt
@@ -121,6 +122,28 @@ def visible_words(
     return sweep.words_along_lines(surface.top_m, height_m, sky.lines, sky.num, window=window)
 
 
+class Shadows(NamedTuple):
+    """How high the shadows of the satellites of one time reach above each cell of a region.
+
+    Attributes:
+      height_m: absolute; -inf where nothing stands toward the satellite.
+      ground_m: elevation of the ground, 0 where it is flat.
+    """
+
+    height_m: Float[AnyArray, "S y x"]
+    ground_m: Float[AnyArray, "y x"]
+
+
+def traced_shadows(surface: Surface, sky: SkyView) -> Shadows:
+    """Return the shadows over a surface by JAX, those of satellites without effect too; arguments may be traced."""
+    surface = surface.of_hiding()
+    rows, cols = surface.window
+    window = rows.start, rows.stop, cols.start, cols.stop
+    height_m = sweep.shadow_heights(surface.top_m, sky.lines, window)
+    ground_m = surface.crop(surface.terrain_m)
+    return Shadows(height_m, jnp.zeros_like(height_m[0]) if ground_m is None else ground_m)
+
+
 def _heights(ground_m: AnyArray | None, altitudes_m: AnyArray) -> AnyArray:
     """Return the absolute height of receivers, ``[A, y, x]`` or over flat ground ``[A, 1, 1]``, in metres.
 
@@ -160,25 +183,55 @@ def visibility(
     surface = surface.of_hiding()
     azimuth = np.asarray(azimuth_rad, float)
     elevation = np.asarray(elevation_rad, float)
-
-    # Shadows are cast over the surface with its margin or, with rings, over the region alone. The four sides of all
-    # rings are stacked by side, each along ``S``.
-    rows, cols = surface.window
-    top_m = np.asarray(surface.top_m)
-    grid = surface.grid
-    ring = None
-    first_cell = rows.start, cols.start
-    if rings is not None:
-        top_m = top_m[rows, cols]
-        grid = surface.region
-        first_cell = (0, 0)
-        ring = Ring(*(np.stack(values) for values in zip(*rings, strict=True)))
-
+    top_m, first_cell, lines, ring = _cast_over(surface, azimuth, elevation, rings)
     words, receivers = _receivers(surface, altitudes_m, first_cell, len(azimuth), every)
-    blocks.mark_visible(words, top_m, receivers, ringed_lines(grid, azimuth, elevation), ring)
+    blocks.mark_visible(words, top_m, receivers, lines, ring)
     if surface.slabs is not None:
         _hide_behind_slabs(words, surface, surface.slabs, azimuth, elevation, receivers)
     return words
+
+
+def shadows_over(
+    surface: Surface,
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    rings: Sequence[Ring] | None = None,
+    every: int = 1,
+) -> Shadows:
+    """Return the shadows over a surface without slabs on the host; arguments as for `visibility`."""
+    surface = surface.of_hiding()
+    azimuth = np.asarray(azimuth_rad, float)
+    elevation = np.asarray(elevation_rad, float)
+    top_m, first_cell, lines, ring = _cast_over(surface, azimuth, elevation, rings)
+    words, receivers = _receivers(surface, (), first_cell, 0, every)
+    shape = words.shape[-2:]
+    flat = receivers._replace(ground_m=None)
+    height_m = blocks.shadow_heights(top_m, shape, flat, lines, ring)
+    middles = slice(every // 2, None, every)
+    ground_m = receivers.ground_m
+    own_ground_m = np.zeros(shape, np.float32) if ground_m is None else ground_m[middles, middles]
+    return Shadows(height_m, own_ground_m)
+
+
+def _cast_over(
+    surface: Surface,
+    azimuth_rad: np.ndarray,
+    elevation_rad: np.ndarray,
+    rings: Sequence[Ring] | None,
+) -> tuple[np.ndarray, tuple[int, int], DigitalLine, Ring | None]:
+    """Return what shadows are cast over: tops, the region's first cell among them, lines, and what is handed on.
+
+    They are cast over the surface with its margin or, with rings, over the region alone. The four sides of all rings
+    are stacked by side, each along ``S``. Arguments are those of `visibility`.
+    """
+    rows, cols = surface.window
+    top_m = np.asarray(surface.top_m)
+    if rings is None:
+        lines = ringed_lines(surface.grid, azimuth_rad, elevation_rad)
+        return top_m, (rows.start, cols.start), lines, None
+    ring = Ring(*(np.stack(values) for values in zip(*rings, strict=True)))
+    lines = ringed_lines(surface.region, azimuth_rad, elevation_rad)
+    return top_m[rows, cols], (0, 0), lines, ring
 
 
 def _receivers(

@@ -84,7 +84,8 @@ class Bound:
             )
         if not math.isfinite(self.value):
             raise InputError(f"the bound {self} needs a finite number, as in gps>=0.3")
-        if self.variable in known_metrics() and not 0 <= self.value <= 1:
+        metric = known_metrics().get(self.variable)
+        if metric is not None and metric.is_cost and not 0 <= self.value <= 1:
             raise InputError(
                 f"the bound {self} asks what no cell or every cell has: m_{self.variable} lies in 0 to 1"
             )
