@@ -45,7 +45,7 @@ OF_RELEASE_1 = (
     *("gps_horizontal", "gps_vertical", "protection"),
 )
 # Of a metric's map, behind its name.
-DERIVED = (*SERIES, HIGHEST, "epoch_mean", "worst_time", "lower", "upper", "mean", "std", "p95")
+DERIVED = (*SERIES, "epoch_mean", "worst_time", "lower", "upper", "mean", "std", "p95")
 RESERVED_NAMES = {
     *("distance", "climb", "descent", "self", "lon", "lat"),
     *(ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref"),
@@ -268,7 +268,7 @@ def _beside(metric: Metric, layers: Collection[str]) -> Metric:
 
 def _free_name(name: str, layers: Collection[str]) -> str:
     """Return a variable's name with `LONG` put before it until neither it nor a name derived from it is a layer's."""
-    derived_names = {f"{name}_{what}" for what in DERIVED}
+    derived_names = {f"{name}_{what}" for what in (*DERIVED, HIGHEST)}
     is_taken = not derived_names.union([name]).isdisjoint(layers)
     return _free_name(LONG + name, layers) if is_taken else name
 
@@ -341,6 +341,18 @@ def held_metrics(ds: "xr.Dataset", costs_only: bool = True) -> dict[str, Metric]
     for name, record in sorted(records.items()):
         metrics[name] = own_metric(name, Layer(**record))
     return metrics
+
+
+def held_name(ds: "xr.Dataset", section: str) -> str:
+    """Return the name of the metric of a section in a dataset of maps, which a user's layer may change; "" without."""
+    held = held_metrics(ds, costs_only=False)
+    return next((name for name, metric in held.items() if metric.section == section), "")
+
+
+def is_of_sky(ds: "xr.Dataset", variable: Variable) -> bool:
+    """Return whether a variable of maps says something of the satellites of a time."""
+    metric = held_metrics(ds, costs_only=False).get(variable.of)
+    return metric is not None and TIME in metric.dims
 
 
 def held_variables(ds: "xr.Dataset") -> dict[str, Variable]:

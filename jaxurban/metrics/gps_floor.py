@@ -91,6 +91,10 @@ def _attributes(params: GpsFloor) -> dict[str, str]:
     return {"long_name": f"least height above the ground from which {condition}"}
 
 
+CAVEAT = (
+    "Of the satellites in line of sight, without reflections, which are worst low in streets; over a roof at least the "
+    "roof's top."
+)
 METRIC = Metric(
     name="gps_floor",
     params=GpsFloor,
@@ -112,6 +116,6 @@ METRIC = Metric(
         is_inf_missing=True,
     ),
     attributes=_attributes,
-    caveat="Of the satellites in line of sight: reflections, which are worst low in streets, are not in it.",
+    caveat=CAVEAT,
     cell_bytes=24,  # the map, its group of cells, and the surface's rasters; the shadows are counted apart
 )

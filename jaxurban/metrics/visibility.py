@@ -206,7 +206,7 @@ def shadows_over(
     words, receivers = _receivers(surface, (), first_cell, 0, every)
     shape = words.shape[-2:]
     flat = receivers._replace(ground_m=None)
-    height_m = blocks.shadow_heights(top_m, shape, flat, lines, ring)
+    height_m = blocks.shadows_at(top_m, shape, flat, lines, ring)
     middles = slice(every // 2, None, every)
     ground_m = receivers.ground_m
     own_ground_m = np.zeros(shape, np.float32) if ground_m is None else ground_m[middles, middles]
