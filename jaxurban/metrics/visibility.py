@@ -139,7 +139,7 @@ def traced_shadows(surface: Surface, sky: SkyView) -> Shadows:
     surface = surface.of_hiding()
     rows, cols = surface.window
     window = rows.start, rows.stop, cols.start, cols.stop
-    height_m = sweep.shadow_heights(surface.top_m, sky.lines, window)
+    height_m = sweep.heights_in_rounds(surface.top_m, sky.lines, window)
     ground_m = surface.crop(surface.terrain_m)
     return Shadows(height_m, jnp.zeros_like(height_m[0]) if ground_m is None else ground_m)
 
@@ -206,7 +206,7 @@ def shadows_over(
     words, receivers = _receivers(surface, (), first_cell, 0, every)
     shape = words.shape[-2:]
     flat = receivers._replace(ground_m=None)
-    height_m = blocks.shadows_at(top_m, shape, flat, lines, ring)
+    height_m = blocks.shadows_on_receivers(top_m, shape, flat, lines, ring)
     middles = slice(every // 2, None, every)
     ground_m = receivers.ground_m
     own_ground_m = np.zeros(shape, np.float32) if ground_m is None else ground_m[middles, middles]

@@ -91,7 +91,7 @@ def mark_visible(
         _walk(tops, lines, rings, which, receivers, words[which[0] // WORD_BITS])
 
 
-def shadows_at(
+def shadows_on_receivers(
     top_m: Float[np.ndarray, "Y X"],
     shape: tuple[int, int],
     receivers: Receivers,

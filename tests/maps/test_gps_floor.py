@@ -5,14 +5,21 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+import rasterio
 import xarray as xr
+from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.params import MapParams
+from jaxurban.maps.shared import OneMap
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps_floor import METRIC, GpsFloor
+from jaxurban.report.figures import plot_metric
+from jaxurban.report.figures.metrics import precise_percent
+from jaxurban.report.figures.paths import maps_figures
+from jaxurban.viewer.layers import layers_of, legend_of
 from tests import hanging_city
 from tests.tiled_runs import city as tiled_city
 from tests.tiled_runs import task as tiled_task
@@ -159,3 +166,136 @@ def test_it_has_no_weight(maps):
                 "weights": {"gps_floor": 1.0},
             }
         )
+
+
+@pytest.fixture(scope="module")
+def two_altitudes():
+    return compute_maps(task_of(GpsFloor(3.5), altitudes_m=(12.0, 30.0)))
+
+
+def joined_ends(maps, limits):
+    """Return two far cells that a way joins at 12 m, above the floor too, the shortest without leading below it."""
+    free = ju.cost_map(maps, 12.0, objective="distance")
+    kept = ju.cost_map(maps, 12.0, objective="distance", constraints=limits)
+    rng = np.random.default_rng(0)
+    cells = np.argwhere(kept.islands == np.bincount(kept.islands[kept.islands > 0]).argmax())
+    for _ in range(50):
+        ends = [
+            tuple(map(float, maps.grid.lonlat_of_cell(*cell)))
+            for cell in rng.choice(cells, 2, replace=False)
+        ]
+        plain = free.plan(*ends)
+        if ju.explain(plain, maps).totals["below_gps_floor_m"] > 0:
+            return ends, plain, kept.plan(*ends)
+    raise AssertionError("no shortest way leads below the floor")
+
+
+def test_routes_stay_above_it_and_reports_and_checks_say_where_they_do_not(two_altitudes):
+    maps = two_altitudes
+    limits = ju.Constraints.read(above_gps_floor=True)
+    assert str(limits) == "at or above the GPS floor, vertical clearance of 3 m"
+    floor_m = maps.m("gps_floor")
+    cost_map = ju.cost_map(maps, 12.0, constraints=limits)
+    is_free = ju.cost_map(maps, 12.0).is_free
+    np.testing.assert_array_equal(cost_map.is_free, is_free & (floor_m <= 12))
+    np.testing.assert_array_equal(cost_map.is_free, is_free & (maps.m("gdop", 12.0) <= 3.5))
+    cell = tuple(map(int, np.argwhere(is_free & ~cost_map.is_free)[0]))
+    assert cost_map.why_closed(cell) == (
+        f"closed by the GPS floor of {floor_m[cell]:.1f} m there at 12 m"
+    )
+
+    ends, plain, kept = joined_ends(maps, limits)
+    assert kept.length_m > plain.length_m
+    report = ju.explain(kept, maps)
+    assert report.totals["below_gps_floor_m"] == 0
+    below = ju.explain(plain, maps)
+    profile = below.profile
+    is_below = profile["gps_floor_m"] > 12
+    length_m = (profile["to_m"] - profile["from_m"])[is_below].sum()
+    assert below.totals["below_gps_floor_m"] == pytest.approx(length_m)
+    assert "below floor m" in below.table()
+    assert ju.check(maps, kept).limits["above_gps_floor"]
+    findings = ju.check(maps, plain, constraints=limits).findings
+    assert "flies below the GPS floor" in set(findings["what"])
+    assert "flies below the GPS floor" not in set(ju.check(maps, kept).findings["what"])
+
+    # Between levels a route may climb over the floor instead.
+    levels = ju.Levels()
+    climbing = ju.plan(maps, *ends, altitude_m=levels, constraints=limits, objective="distance")
+    assert ju.explain(climbing, maps).totals["below_gps_floor_m"] == 0
+    volume = ju.cost_map(maps, levels, constraints=limits)
+    np.testing.assert_array_equal(
+        volume.is_free,
+        ju.cost_map(maps, levels).is_free & (floor_m <= np.c_[12.0, 30.0].T[:, :, None]),
+    )
+
+
+def test_a_mission_takes_off_where_gps_is_good_from_the_ground(two_altitudes):
+    limits = ju.Constraints(above_gps_floor=True)
+    is_free = limits.is_free_to_ground(two_altitudes, 30.0)
+    plain = ju.Constraints().is_free_to_ground(two_altitudes, 30.0)
+    np.testing.assert_array_equal(is_free, plain & (two_altitudes.m("gps_floor") == 0))
+    assert is_free.any()
+    assert not is_free.all()
+
+
+def test_without_it_in_the_maps_the_rule_is_refused():
+    without = compute_maps(task_of(None))
+    with pytest.raises(InputError, match="these maps hold no GPS floor: make them with"):
+        ju.cost_map(without, 20.0, constraints=ju.Constraints(above_gps_floor=True))
+
+
+def test_a_bound_on_it_is_in_metres(maps):
+    limits = ju.Constraints.read(require="gps_floor<=15")
+    closed = limits.closed(maps, 20.0)
+    assert (closed >= (maps.m("gps_floor") > 15)).all()
+    assert not closed.all()
+
+
+def test_files_hold_it_with_no_data_where_no_height_suffices(maps, tmp_path):
+    maps.save(tmp_path / "made")
+    with rasterio.open(tmp_path / "made" / "geotiff" / "gps_floor_10m.tif") as file:
+        assert np.isnan(file.nodata)
+        assert file.units == ("m",)
+        np.testing.assert_array_equal(file.read(1)[::-1], maps.m("gps_floor"))
+        tags = file.tags()
+    assert (tags["comment"], tags["time"]) == (METRIC.caveat, TIMES[0])
+    style = (tmp_path / "made" / "geotiff" / "gps_floor_10m.qml").read_text(encoding="utf-8")
+    assert 'classificationMax="120.0"' in style
+    opened = ju.open_maps(tmp_path / "made")
+    np.testing.assert_array_equal(opened.m("gps_floor"), maps.m("gps_floor"))
+
+    never = compute_maps(task_of(GpsFloor(0.5)))
+    never.save(tmp_path / "never")
+    with rasterio.open(tmp_path / "never" / "geotiff" / "gps_floor_10m.tif") as file:
+        assert np.isnan(file.read(1)).all()
+
+
+def test_a_picture_says_over_which_share_an_altitude_is_high_enough(maps):
+    figure = plot_metric(maps, "gps_floor")
+    words = " ".join(text.get_text() for text in figure.findobj(Text))
+    share = precise_percent((maps.m("gps_floor") <= 20).mean())
+    assert f"high enough: 20 m over {share} of the area" in words
+    assert "stays at or below 6" in words.replace("\n", " ")
+    assert "without reflections" in words.replace("\n", " ")
+    assert {"gps_floor", "gps"} <= {*maps_figures(maps, [])}
+
+
+def test_the_viewer_offers_it_among_the_satellites(maps):
+    layer = layers_of(maps)["gps_floor"]
+    assert (layer.group, layer.dims, layer.is_hidden) == ("Satellites", ("time",), False)
+    values = layer.values(OneMap(altitude_m=20.0))
+    np.testing.assert_array_equal(values, maps.m("gps_floor"))
+    legend = legend_of(layer, values)
+    assert "GPS floor in metres" in legend["html"]
+
+
+def test_a_layer_of_its_name_stands_beside_it():
+    of = task_of()
+    own = ju.Layer(np.full(of.region.shape, 20.0), cost="high-is-bad", scale=(0.0, 80.0))
+    both = replace(of, layers={"gps_floor": own}, bands={"gps_floor": (own.source,)})
+    made = compute_maps(both)
+    assert np.unique(made.m("gps_floor")).tolist() == [0.25]
+    np.testing.assert_array_equal(made.m("metric_gps_floor"), compute_maps(of).m("gps_floor"))
+    limits = ju.Constraints(above_gps_floor=True)
+    assert (limits.closed(made, 20.0) >= (made.m("metric_gps_floor") > 20)).all()
