@@ -314,9 +314,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
         (
             array(ROUNDED, *REGION),
             array(*REGION),
-            array(*REGION),
             satellites(NUM_SATELLITES, ROUNDED),
-            WHOLE,
             NUMBER,
         ),
         {"dop": "gdop"},

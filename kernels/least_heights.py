@@ -15,10 +15,8 @@ from jaxurban.programs import kept_jit
 @partial(kept_jit, static_argnames=("dop",))
 def least_heights(
     shadow_m: Float[Array, "S ..."],
-    ground_m: Float[Array, "..."],
     roof_m: Float[Array, "..."],
     satellites: Geometry,
-    num: ArrayLike,
     threshold: ArrayLike,
     *,
     dop: str,
@@ -31,25 +29,18 @@ def least_heights(
     count. Heights inside a roof count as its top. There is no gradient.
 
     Args:
-      shadow_m: how high each satellite's shadow reaches, absolute; ``...`` are any axes of cells.
-      ground_m: elevation of the ground.
-      roof_m: height of the roof above it, 0 without one.
-      satellites: their geometry.
-      num: how many there are; those behind fill up.
+      shadow_m: how high each satellite's shadow reaches above the ground; ``...`` are any axes of cells.
+      roof_m: height of the roof above the ground, 0 without one.
+      satellites: their geometry; those of weight 0 fill up, and their shadows do not matter.
       threshold: the highest DOP that is good.
       dop: which one, such as ``"gdop"``.
 
     Returns:
       The heights, from the roof's up; inf where even all satellites are too few.
     """
-    # Heights above the ground at which satellites come into view: rounded up, so that `ground_m + height_m` is never
-    # below the shadow. Those that fill up come into view last.
-    height_m = shadow_m - ground_m
-    is_below = ground_m + height_m < shadow_m
-    height_m = jnp.where(is_below, jnp.nextafter(height_m, jnp.inf), height_m)
-    height_m = jnp.maximum(height_m, roof_m)
-    number = jnp.arange(len(height_m)).reshape(-1, *[1] * (height_m.ndim - 1))
-    height_m = jnp.where(number < num, height_m, jnp.inf)
+    # Heights at which satellites come into view, those that fill up last.
+    weights = jnp.asarray(satellites.weights).reshape(-1, *[1] * roof_m.ndim)
+    height_m = jnp.where(weights > 0, jnp.maximum(shadow_m, roof_m), jnp.inf)
 
     def least(heights_m: Array) -> Array:
         """Return the least good height of each of a block of cells, from ``[S, C]`` heights of satellites."""

@@ -15,7 +15,7 @@ from jaxurban.io.read.rasterise import PEOPLE_SAMPLES
 from jaxurban.io.stored import GEOTIFF_FOLDER, ZARR_FOLDER
 from jaxurban.maps.free_memory import free_bytes
 from jaxurban.maps.task import MapTask, variables
-from jaxurban.metrics.base import ALTITUDE, TIME
+from jaxurban.metrics.base import TIME
 from jaxurban.progress import LOG
 from jaxurban.settings import SLABS
 from jaxurban.world.grid import MAX_SIDE, Grid, tile_shape
@@ -40,8 +40,6 @@ PEOPLE_SAMPLE_BYTES = 12
 # and whether that is within its limits; and about ten arrays of each of three metrics for a spread.
 WORD_BYTES = 16
 SERIES_VALUE_BYTES = 5
-# Of a cell and satellite: how high its shadow reaches, and that of a bundle of satellites again.
-SHADOW_BYTES = 8
 SPREAD_CELL_BYTES = 4 * 10 * 3
 # Of a supersampled cell: the rasters, their tops for both directions, and the lidar's order of them.
 SUBCELL_BYTES = 60
@@ -112,10 +110,7 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
         is_by_jax = params.engine == "jax" or not metric.is_numba_over_terrain(settings)
         if task.has_terrain and is_by_jax:
             needed += int(metric.terrain_bytes(settings, tile))
-        if TIME in metric.dims and ALTITUDE not in metric.dims:
-            most_satellites = int(task.sky.is_in_view.sum(axis=1).max())
-            needed += num_cells * most_satellites * SHADOW_BYTES
-        elif TIME in metric.dims:
+        if TIME in metric.dims:
             needed += num_cells * num_altitudes * (WORD_BYTES + series_bytes)
 
     # Samples of people, where blocks have counts of their own by day.

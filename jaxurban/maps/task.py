@@ -27,6 +27,7 @@ from jaxurban.kernels.engine import uses_numba
 from jaxurban.knowledge import Guesses
 from jaxurban.maps.guesses import region_guesses
 from jaxurban.maps.params import MapParams
+from jaxurban.metrics import gps_floor
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.population import BlockLayers, block_layers
@@ -75,7 +76,7 @@ class MapTask:
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
             )
-        if self.city.hanging == SLABS and self.counts_from_ground:
+        if self.city.hanging == SLABS and self.has_floor:
             raise InputError(
                 "the GPS floor knows no slabs, below and above which the sky differs: read the city with "
                 'hanging = "to_ground", or leave gps_floor out'
@@ -129,15 +130,14 @@ class MapTask:
         return max(metric.reach_m(self.settings_of(metric)) for metric in self.metrics.values())
 
     @property
-    def counts_from_ground(self) -> bool:
-        """Whether a metric asks what is seen at every height, from the ground on, and not just at the altitudes."""
-        dims = [metric.dims for metric in self.metrics.values()]
-        return any(TIME in each and ALTITUDE not in each for each in dims)
+    def has_floor(self) -> bool:
+        """Whether the GPS floor is made, which asks what is seen at every height from the ground on."""
+        return gps_floor.METRIC.section in self.params.sections
 
     @property
     def lowest_m(self) -> float:
         """The lowest height above the ground at which satellites count."""
-        return 0.0 if self.counts_from_ground else min(self.params.altitudes_m)
+        return 0.0 if self.has_floor else min(self.params.altitudes_m)
 
     @property
     def sizes(self) -> dict[str, int]:

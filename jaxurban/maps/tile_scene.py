@@ -14,7 +14,7 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.custom import LAYERS
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.variables import TimeTotals
-from jaxurban.metrics.visibility import Shadows, shadows_over, visibility
+from jaxurban.metrics.visibility import shadows_over, visibility
 from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface, obstacles_on
 
@@ -107,8 +107,8 @@ class TileScene:
             self.keep(time_index, words)
         return self._words[time_index]
 
-    def shadows(self, time_index: int) -> Shadows:
-        """Return how high the shadows of the satellites of a time reach above each cell; nothing hangs."""
+    def shadows(self, time_index: int) -> np.ndarray:
+        """Return how high the shadows of the satellites of a time reach above the ground (`shadows_over`)."""
         in_view = self.task.in_view(time_index)
         return shadows_over(
             self.supersampled or self.surface,

@@ -160,8 +160,8 @@ class Scene:
         they hold nothing.
       only_m: further variables are not looked at, and need not be made.
       engine: which form of its kernels runs (`jaxurban.kernels.engine`).
-      shadows: how high those of the satellites reach above each cell, for metrics of a time without an altitude
-        (`jaxurban.metrics.visibility.Shadows`).
+      shadows: ``[S, y, x]`` how high those of the satellites reach above the ground, for metrics of a time without an
+        altitude.
       sky: the satellites of the time (`jaxurban.metrics.visibility.SkyView`), for traced metrics.
       ready: what `Metric.ready` has made on the host, for traced metrics.
     """

@@ -1,16 +1,17 @@
 """The GPS floor: from which height above each cell on GPS is good, exactly; made on request, and no cost of paths."""
 
 from dataclasses import dataclass
-from functools import partial
+from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxurban.checks import typed
-from jaxurban.kernels.blocks import part_of, rounded_up
+from jaxurban.kernels.blocks import part_of
+from jaxurban.kernels.dop import Geometry
 from jaxurban.kernels.least_heights import least_heights
 from jaxurban.metrics.base import TIME, Metric, Scale, Scene, Variable, none_of_it
-from jaxurban.metrics.gps import SATELLITES_STEP, DopName, satellites_of
+from jaxurban.metrics.gps import DopName, satellites_of
 from jaxurban.metrics.settings import check_fields, differentiable, is_positive
 from jaxurban.metrics.visibility import traced_shadows
 
@@ -46,43 +47,28 @@ class GpsFloor:
 
 def _maps(scene: Scene, params: GpsFloor) -> dict[str, np.ndarray]:
     """Return the map of one time (`Metric.compute`), group of cells by group of cells."""
-    shadow_m, ground_m = scene.shadows
-    num, *shape = shadow_m.shape
+    satellites = satellites_of(scene.in_view)
     roof_m = np.asarray(scene.surface.crop(scene.surface.roof_m))
-    rows = shadow_m.reshape(num, -1), ground_m.reshape(1, -1), roof_m.reshape(1, -1)
-    num_filled = rounded_up(num, SATELLITES_STEP), 1, 1
-    floor = partial(
-        least_heights,
-        satellites=satellites_of(scene.in_view),
-        num=np.int32(num),
-        threshold=np.float32(params.dop_threshold),
-        dop=params.dop,
-    )
-    num_cells = roof_m.size
-    floors = np.empty(rounded_up(num_cells, CELLS_AT_ONCE), np.float32)
-    for first in range(0, num_cells, CELLS_AT_ONCE):
-        shadows, ground, roof = (
-            part_of(values, (0, first), (num_rows, CELLS_AT_ONCE), 0)
-            for values, num_rows in zip(rows, num_filled, strict=True)
-        )
-        floors[first : first + CELLS_AT_ONCE] = floor(shadows, ground[0], roof[0])
-    return {METRIC.name: floors[:num_cells].reshape(shape)}
+    rows = np.stack([roof_m, *scene.shadows]).reshape(1 + len(scene.shadows), -1)
+    shape = 1 + len(satellites.rows), CELLS_AT_ONCE
+    floors = []
+    for first in range(0, roof_m.size, CELLS_AT_ONCE):
+        roof, *shadows = part_of(rows, (0, first), shape, 0)
+        floors.append(_floor(np.stack(shadows), roof, satellites, params))
+    floor_m = np.concatenate(floors)[: roof_m.size]
+    return {METRIC.name: floor_m.reshape(roof_m.shape)}
 
 
-def _traced(scene: Scene, params: GpsFloor) -> dict[str, Float[Array, "y x"]]:
+def _traced(scene: Scene, params: GpsFloor) -> dict[str, Array]:
     """Return the same of arrays that JAX may trace (`Metric.traced`)."""
-    shadow_m, ground_m = traced_shadows(scene.surface, scene.sky)
     roof_m = scene.surface.crop(scene.surface.roof_m)
-    floors = least_heights(
-        shadow_m,
-        ground_m,
-        roof_m,
-        scene.sky.satellites,
-        scene.sky.num,
-        params.dop_threshold,
-        dop=params.dop,
-    )
-    return {METRIC.name: floors}
+    shadow_m = traced_shadows(scene.surface, scene.sky)
+    return {METRIC.name: _floor(shadow_m, roof_m, scene.sky.satellites, params)}
+
+
+def _floor(shadow_m: Any, roof_m: Any, satellites: Geometry, params: GpsFloor) -> Array:
+    """Return `least_heights` under settings."""
+    return least_heights(shadow_m, roof_m, satellites, params.dop_threshold, dop=params.dop)
 
 
 def _attributes(params: GpsFloor) -> dict[str, str]:
@@ -117,5 +103,5 @@ METRIC = Metric(
     ),
     attributes=_attributes,
     caveat=CAVEAT,
-    cell_bytes=24,  # the map, its group of cells, and the surface's rasters; the shadows are counted apart
+    cell_bytes=400,  # the shadows of up to 48 satellites, twice
 )

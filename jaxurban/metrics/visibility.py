@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt
@@ -122,26 +121,18 @@ def visible_words(
     return sweep.words_along_lines(surface.top_m, height_m, sky.lines, sky.num, window=window)
 
 
-class Shadows(NamedTuple):
-    """How high the shadows of the satellites of one time reach above each cell of a region.
-
-    Attributes:
-      height_m: absolute; -inf where nothing stands toward the satellite.
-      ground_m: elevation of the ground, 0 where it is flat.
-    """
-
-    height_m: Float[AnyArray, "S y x"]
-    ground_m: Float[AnyArray, "y x"]
-
-
-def traced_shadows(surface: Surface, sky: SkyView) -> Shadows:
-    """Return the shadows over a surface by JAX, those of satellites without effect too; arguments may be traced."""
+def traced_shadows(surface: Surface, sky: SkyView) -> Float[Array, "S y x"]:
+    """Return `shadows_over` by JAX, with satellites without effect too; arguments may be traced."""
     surface = surface.of_hiding()
     rows, cols = surface.window
     window = rows.start, rows.stop, cols.start, cols.stop
-    height_m = sweep.heights_in_rounds(surface.top_m, sky.lines, window)
-    ground_m = surface.crop(surface.terrain_m)
-    return Shadows(height_m, jnp.zeros_like(height_m[0]) if ground_m is None else ground_m)
+    top_m = sweep.heights_in_rounds(surface.top_m, sky.lines, window)
+    return _above_ground(top_m, surface.crop(surface.terrain_m))
+
+
+def _above_ground(top_m: Any, ground_m: Any) -> Any:
+    """Return heights above the ground of absolute ones; the ground is None where it is flat, at 0."""
+    return top_m if ground_m is None else top_m - ground_m
 
 
 def _heights(ground_m: AnyArray | None, altitudes_m: AnyArray) -> AnyArray:
@@ -197,20 +188,22 @@ def shadows_over(
     elevation_rad: ArrayLike,
     rings: Sequence[Ring] | None = None,
     every: int = 1,
-) -> Shadows:
-    """Return the shadows over a surface without slabs on the host; arguments as for `visibility`."""
+) -> Float[np.ndarray, "S y x"]:
+    """Return how high above the ground the shadow of each satellite reaches, in metres.
+
+    It is -inf where nothing stands toward the satellite. Arguments are those of `visibility`; the surface has no slabs.
+    """
     surface = surface.of_hiding()
     azimuth = np.asarray(azimuth_rad, float)
     elevation = np.asarray(elevation_rad, float)
     top_m, first_cell, lines, ring = _cast_over(surface, azimuth, elevation, rings)
-    words, receivers = _receivers(surface, (), first_cell, 0, every)
-    shape = words.shape[-2:]
-    flat = receivers._replace(ground_m=None)
-    height_m = blocks.shadows_on_receivers(top_m, shape, flat, lines, ring)
-    middles = slice(every // 2, None, every)
-    ground_m = receivers.ground_m
-    own_ground_m = np.zeros(shape, np.float32) if ground_m is None else ground_m[middles, middles]
-    return Shadows(height_m, own_ground_m)
+    region = surface.region
+    shape = region.num_rows // every, region.num_cols // every
+    receivers = blocks.Receivers(first_cell, every, None, np.empty(0, top_m.dtype))
+    shadow_m = blocks.shadows_on_receivers(top_m, shape, receivers, lines, ring)
+    own = slice(every // 2, None, every)
+    ground_m = surface.crop(surface.terrain_m)
+    return _above_ground(shadow_m, None if ground_m is None else np.asarray(ground_m)[own, own])
 
 
 def _cast_over(

@@ -271,27 +271,24 @@ def plot_metric(
         heading += ", by altitude above ground"
         panels, note = varied(panels, frame_note(maps, time, has_sky=has_sky, of=name))
 
-    # One of heights from which something holds says over which share of the cells altitudes are high enough.
-    elif has_sky:
-        time = (time or maps.times[0]) if TIME in variable.dims else None
-        values = maps.m(name, time=time)
-        drawn = np.minimum(values, np.float32(colours.norm.vmax))
-        panels = [MapPanel(_enough_of(values, maps.altitudes_m), [DrawnMap(drawn, colours)])]
-        heading = f"{variable.heading}: {maps.ds[name].attrs['long_name']}"
-        note = frame_note(maps, time, of=name)
-        patches = patches[1:]  # all but obstacles
-
-    # Any other map without altitudes has no obstacles, and a panel for each time of day if it varies with that.
+    # A map without altitudes has no obstacles, and a panel for each time of day if it varies with that. One of heights
+    # from which GPS is good says over which share of the area each altitude is high enough.
     else:
+        time = (time or maps.times[0]) if TIME in variable.dims else None
         times_of_day: Sequence[str | None] = (None,)
         if TIME_OF_DAY in variable.dims:
             times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
-        panels = [
-            MapPanel(day or "", [DrawnMap(maps.m(name, time_of_day=day), colours)])
-            for day in times_of_day
-        ]
+        panels = []
+        for day in times_of_day:
+            values = maps.m(name, time=time, time_of_day=day)
+            title = _enough_of(values, maps.altitudes_m) if has_sky else day or ""
+            # Where no height suffices it is infinite, which is drawn as the highest.
+            drawn = np.minimum(values, np.float32(colours.norm.vmax)) if has_sky else values
+            panels.append(MapPanel(title, [DrawnMap(drawn, colours)]))
         heading = variable.heading
-        note = frame_note(maps, has_sky=False)
+        if has_sky:
+            heading += f": {maps.ds[name].attrs['long_name']}"
+        note = frame_note(maps, time, has_sky=has_sky, of=name)
         patches = patches[1:]  # all but obstacles
 
     # The legend of classes, whose second one means a value of one, or a colour bar.
