@@ -15,6 +15,7 @@ import numpy as np
 from jaxurban.kernels import dop
 from jaxurban.kernels.blocks import LARGE, rounded_up
 from jaxurban.kernels.distance import nearest as distance
+from jaxurban.kernels.least_heights import least_heights
 from jaxurban.kernels.lidar import hard
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line.homeward import _highest_east
@@ -26,6 +27,7 @@ from jaxurban.kernels.soft_step import satellite_weights
 from jaxurban.maps import at_once
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
 from jaxurban.metrics import gps, gps_soft, lidar, population, risk, visibility
+from jaxurban.metrics.gps_floor import GpsFloor
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
@@ -242,6 +244,12 @@ def region(num_times: int = 1) -> tuple[at_once.MapInputs, visibility.SkyView]:
     return replace(made, surface=surface, settings=settings, ready=ready), skies
 
 
+def with_floor() -> tuple[at_once.MapInputs, visibility.SkyView]:
+    """Return the same with the GPS floor, whose threshold is traced."""
+    made, skies = region()
+    return replace(made, settings={**made.settings, "gps_floor": GpsFloor()}), skies
+
+
 WALKS = rays.Walks(*[array(rays.RAYS_A_TURN)] * 5)
 RINGS = sweep.Ring(*[array(blocks.AT_ONCE, LARGE + 2)] * 2, *[array(blocks.AT_ONCE, LARGE)] * 2)
 ROOFS = blocks.Roofs(array(*BLOCK), None, NUMBER)
@@ -249,6 +257,9 @@ ROOFS = blocks.Roofs(array(*BLOCK), None, NUMBER)
 KERNELS: dict[str, Callable[[], Call]] = {
     "all maps": lambda: Call(jax.jit(at_once.all_maps), inputs()),
     "a region's maps": lambda: Call(at_once.region_maps, region(), {"keeps_times": True}),
+    "a region's maps with the GPS floor": lambda: Call(
+        at_once.region_maps, with_floor(), {"keeps_times": True}
+    ),
     "a region's maps, statistics over 24 times": lambda: Call(
         at_once.region_maps, region(NUM_TIMES), {"keeps_times": False}
     ),
@@ -297,6 +308,16 @@ KERNELS: dict[str, Callable[[], Call]] = {
     ),
     "GPS maps, 9 satellites": lambda: Call(
         gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(9), NUMBER)
+    ),
+    "GPS floor, 9 satellites": lambda: Call(
+        least_heights,
+        (
+            array(ROUNDED, *REGION),
+            array(*REGION),
+            satellites(NUM_SATELLITES, ROUNDED),
+            NUMBER,
+        ),
+        {"dop": "gdop"},
     ),
     "DOPs of weights, 2 clocks, gradient": lambda: Call(
         gradient(lambda geometry, weights: dop.dops(geometry, weights).gdop, 1),

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,6 +11,9 @@ import numpy as np
 from jax import Array, lax
 
 SMALL, LARGE = 128, 512  # sides in cells: the one wastes little of a town, the other has few calls
+# Cells whose DOPs are made at once, by one core: what they need in between fits its cache.
+BLOCK_CELLS = 2**11
+WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
 HALO_STEP = 16  # cells in which halos and margins grow, so that arrays of few shapes are made
 
 
@@ -90,3 +94,17 @@ def by_cells(function: Callable[[Array], Any], values: Array, num_together: int)
     groups = flat.reshape(len(values), -1, num_together).swapaxes(0, 1)
     results = lax.map(function, groups)
     return jax.tree.map(lambda result: result.reshape(-1)[:num_cells].reshape(shape), results)
+
+
+def by_device_cells(function: Callable[[Array], Any], values: Any) -> Any:
+    """Return `by_cells` in groups that suit the device that computes.
+
+    They are small on a CPU, and elsewhere wide ones of equal size, so that hardly a cell is added to fill the last one.
+    """
+    # Fewer cells than a small group count as one.
+    num_cells = max(math.prod(values.shape[1:]), BLOCK_CELLS)
+    num_wide_blocks = math.ceil(num_cells / WIDE_BLOCK_CELLS)
+    wide_cells = math.ceil(num_cells / num_wide_blocks)
+    in_small_blocks = partial(by_cells, function, num_together=BLOCK_CELLS)
+    in_wide_blocks = partial(by_cells, function, num_together=wide_cells)
+    return lax.platform_dependent(values, cpu=in_small_blocks, default=in_wide_blocks)

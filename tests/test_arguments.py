@@ -85,7 +85,9 @@ SECTIONS = {
     "gps_horizontal": ju.metrics.Dop(),
     "gps_vertical": ju.metrics.Dop(),
     "protection": ju.metrics.Protection(),
+    "gps_floor": ju.metrics.GpsFloor(),
 }
+WITHOUT_FLOOR = Case(True, refused="these maps hold no GPS floor")
 RULES = {"cost_model": "cell", "constraints": zone, "preset": "paper"}
 MAP_OF = {"time": LATER, "time_of_day": "night"}
 SKY = {
@@ -338,6 +340,7 @@ USES: dict[str, Callable[..., Any]] = {
     )(on.on().costs, on.on().weight_vector),
     "soft_city": lambda **given: on.soft(ju.grad.SoftParams(20.0), **given),
     "Dop": lambda **given: made(gps_horizontal=ju.metrics.Dop(**given)),
+    "GpsFloor": lambda **given: made(gps_floor=ju.metrics.GpsFloor(**given)),
     "Protection": protected,
     "MapsFolder": lambda **given: ju.studies.MapsFolder(
         home() / "maps", **{"resolution_m": 20.0} | given
@@ -413,6 +416,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "vertical_clearance_m": 15.0,
         "vehicle": ju.Vehicle(radius_m=20.0),
         "unknown_heights": "highest",
+        "above_gps_floor": WITHOUT_FLOOR,
     },
     "Constraints.read": {
         "no_fly": lambda: home() / "zone.geojson",
@@ -421,6 +425,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "vertical_clearance_m": 15.0,
         "vehicle": ju.Vehicle(radius_m=20.0),
         "unknown_heights": "highest",
+        "above_gps_floor": WITHOUT_FLOOR,
     },
     "CostMap.plan": ENDS | SEARCH,
     "CostModel": {
@@ -721,6 +726,7 @@ TABLE: dict[str, dict[str, Any]] = {
         }
     },
     "Dop": {"dop_threshold": 5.0},
+    "GpsFloor": {"dop_threshold": 3.0, "dop": Case("vdop", {"dop_threshold": 3.0})},
     "Protection": {
         "horizontal_alert_limit_m": 60.0,
         "vertical_alert_limit_m": 60.0,
@@ -945,6 +951,7 @@ OF_ROUTE = {
     "--require": "lidar>=0.1",
     "--clearance": "25",
     "--vertical-clearance": "15",
+    "--above-gps-floor": Case("", refused="these maps hold no GPS floor"),
     "--unknown-heights": "highest",
     "--snap": "1",
 }
@@ -962,6 +969,7 @@ RULES_OF_ROUTES = {
         "--require",
         "--clearance",
         "--vertical-clearance",
+        "--above-gps-floor",
         "--unknown-heights",
     )
 }
@@ -1021,6 +1029,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--require": "lidar>=0.5",
             "--clearance": "60",
             "--vertical-clearance": "30",
+            "--above-gps-floor": Case("", refused="these maps hold no GPS floor"),
             "--time": LATER,
             "--time-of-day": "night",
             "--max-no-fix": "0.5",

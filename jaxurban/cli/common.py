@@ -308,6 +308,7 @@ def limits_of(
     require: tuple[str, ...],
     clearance_m: float | None,
     vertical_clearance_m: float | None,
+    above_gps_floor: bool,
 ) -> "Constraints":
     """Return the constraints that the options of `LIMITS` ask for.
 
@@ -316,6 +317,7 @@ def limits_of(
       require: bounds such as ``"gps>=0.3"``.
       clearance_m: least distance from buildings; None: that of the scenario.
       vertical_clearance_m: least height over roofs; None: that of the scenario.
+      above_gps_floor: whether paths stay at or above the maps' GPS floor.
 
     Raises:
       InputError: a file or a bound that cannot be read, or an invalid clearance.
@@ -323,7 +325,11 @@ def limits_of(
     from jaxurban.paths.constraints import Constraints
 
     return Constraints.read(
-        no_fly, require, clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m
+        no_fly,
+        require,
+        clearance_m=clearance_m,
+        vertical_clearance_m=vertical_clearance_m,
+        above_gps_floor=above_gps_floor,
     )
 
 
@@ -450,6 +456,7 @@ LIMITS = grouped_options(
         multiple=True,
         help="Bound that every cell of a path must keep, such as gps>=0.3; repeatable.",
     ),
+    FLAG("--above-gps-floor", help="Stay at or above the GPS floor, which the maps must hold."),
     CLEARANCES,
 )
 CONSTRAINTS = grouped_options(

@@ -20,7 +20,7 @@ from jaxurban.io.stored import GEOTIFF_FOLDER, short_number
 from jaxurban.io.workspace import Each
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
 from jaxurban.metrics.custom import held_metrics, held_variables
-from jaxurban.metrics.variables import CAVEAT, SERIES, no_value
+from jaxurban.metrics.variables import CAVEAT, HIGHEST, SERIES, no_value
 from jaxurban.world.grid import Grid, grid_of
 
 BLOCK = 512  # cells of a block's side
@@ -34,7 +34,7 @@ NUM_PLACES = 17  # of a colour map in QGIS styles, from low to high
 
 
 def geotiff_names(ds: xr.Dataset, layers: Sequence[str]) -> list[str]:
-    """Return the variables that are written as GeoTIFF: obstacles, the metrics of the cost, and further layers.
+    """Return the variables that are written as GeoTIFF: obstacles, the metrics, and further layers.
 
     Where the maps hold no variable of a metric's or a layer's own name but summaries of it over the times (`SERIES`),
     these are written in its place.
@@ -52,8 +52,9 @@ def geotiff_names(ds: xr.Dataset, layers: Sequence[str]) -> list[str]:
     names = ["obstacle"]
     variables = held_variables(ds)
     further = sorted(variables) if tuple(layers) == (ALL,) else layers
-    for name in [*held_metrics(ds), *further]:
-        candidates = [name] if name in variables else [f"{name}_{summary}" for summary in SERIES]
+    for name in [*held_metrics(ds, costs_only=False), *further]:
+        summaries = (*SERIES, HIGHEST)
+        candidates = [name] if name in variables else [f"{name}_{what}" for what in summaries]
         known = [candidate for candidate in candidates if candidate in variables]
         if not known:
             one_of("layer", name, sorted({*variables, ALL}))  # raises InputError
@@ -69,7 +70,7 @@ class _Layer(NamedTuple):
       name: of the variable.
       place: along the variable's axes before y and x.
       dtype: of the file's values.
-      is_averaged: see `jaxurban.metrics.base.Variable`.
+      is_averaged, is_inf_missing: see `jaxurban.metrics.base.Variable`.
       tags: what the file says.
     """
 
@@ -78,6 +79,7 @@ class _Layer(NamedTuple):
     place: tuple[int, ...]
     dtype: np.dtype
     is_averaged: bool
+    is_inf_missing: bool
     tags: dict[str, str]
 
     @property
@@ -103,7 +105,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     resolution = f"{short_number(ds.attrs['resolution_m'])}m"
     times = [f"{time}Z" for time in np.datetime_as_string(ds["time"].values, unit="s")]
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
-    metrics = held_metrics(ds)
+    metrics = held_metrics(ds, costs_only=False)
     variables = held_variables(ds)
     for name in geotiff_names(ds, layers):
         # What all files of a variable share. A summary over times, such as `gps_mean`, begins with its metric's name.
@@ -141,6 +143,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
                 place=place,
                 dtype=np.dtype(np.uint8 if is_of_bytes else np.float32),
                 is_averaged=variables[name].is_averaged,
+                is_inf_missing=variables[name].is_inf_missing,
                 tags=tags,
             )
 
@@ -182,7 +185,7 @@ def write_geotiffs(
       folder: files go to its ``geotiff`` folder.
       each: calls a function with each of many layers, as `map` does, or on several threads.
       only: the files to write; left out, all.
-      layers: variables that are written beside obstacles and the metrics of the cost; ``("all",)``: every one.
+      layers: variables that are written beside obstacles and the metrics; ``("all",)``: every one.
 
     Returns:
       The files written.
@@ -232,6 +235,8 @@ def _parts(ds: xr.Dataset, layer: _Layer) -> Iterator[np.ndarray]:
         if layer.name != "has_data":
             has_data = ds.variables["has_data"][rows].values[::-1]
             np.copyto(values, no_value(layer.dtype), where=~has_data)
+        if layer.is_inf_missing:
+            np.copyto(values, no_value(layer.dtype), where=np.isinf(values))
         yield values
 
 

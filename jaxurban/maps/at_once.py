@@ -33,7 +33,7 @@ from jaxurban.maps.task import MapTask
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.registry import ON_REQUEST, known_metrics
-from jaxurban.metrics.variables import SCALE, TimeTotals, statistics_of_ordered
+from jaxurban.metrics.variables import HIGHEST, SCALE, TimeTotals, statistics_of_ordered
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.progress import Stage
@@ -192,7 +192,7 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: WeightsLike = None) -> di
 
     # Which satellites each cell sees, none inside obstacles; then the metrics.
     words = jnp.where(is_obstacle, jnp.uint32(0), visible_words(surface, altitudes_m, sky))
-    scene = Scene(surface, altitudes_m, words=words, satellites=sky.satellites, engine="jax")
+    scene = Scene(surface, altitudes_m, words=words, sky=sky, engine="jax")
     for name, (metric, settings) in inputs.metrics.items():
         assert metric.traced is not None
         maps |= metric.traced(replace(scene, ready=inputs.ready.get(name)), settings)
@@ -215,7 +215,7 @@ def _weighted(inputs: MapInputs, maps: dict[str, Array], weights: Weights) -> Ar
       maps: of each metric, ``[A, y, x]`` or, with times of day, ``[D, y, x]``.
       weights: by metric.
     """
-    metrics = [metric for metric, _ in inputs.metrics.values()]
+    metrics = [metric for metric, _ in inputs.metrics.values() if metric.is_cost]
     has_times = any(TIME_OF_DAY in metric.dims for metric in metrics)
     total = jnp.zeros(())
     for metric in metrics:
@@ -238,16 +238,16 @@ def region_maps(
       keeps_times: False gives statistics over the times.
 
     Returns:
-      Each map with the axes of its variable before ``[y, x]``, NaN inside obstacles; and with statistics, by metric,
-      int32 ``[T, A, y]``, the sums of round(m x `SCALE`) over the free cells of each row.
+      Each map with the axes of its variable before ``[y, x]``, NaN inside obstacles if it has altitudes; and with
+      statistics, by metric, int32 ``[T, A, y]``, the sums of round(m x `SCALE`) over the free cells of each row.
     """
     still = all_maps(replace(inputs, settings={}), jax.tree.map(lambda values: values[0], skies))
     is_obstacle = still.pop("obstacle") == 1
 
     def kept(values: Array) -> Array:
-        """Return a map that is NaN inside obstacles; whole numbers are 0 there already."""
-        is_float = jnp.issubdtype(values.dtype, jnp.floating)
-        return jnp.where(is_obstacle, jnp.nan, values) if is_float else values
+        """Return a map that is NaN inside obstacles, if it has altitudes; whole numbers are 0 there already."""
+        is_hidden = jnp.issubdtype(values.dtype, jnp.floating) and values.ndim == is_obstacle.ndim
+        return jnp.where(is_obstacle, jnp.nan, values) if is_hidden else values
 
     def of_time(sky: SkyView) -> dict[str, Array]:
         """Return the maps of one time, for statistics m alone."""
@@ -257,11 +257,15 @@ def region_maps(
 
     by_time = lax.map(of_time, skies)
     maps = jax.tree.map(kept, still)
+    no_costs = [name for name, (metric, _) in inputs.metrics.items() if not metric.is_cost]
+    if len(skies.num) > 1 or not keeps_times:
+        maps |= {f"{name}_{HIGHEST}": jnp.max(by_time[name], axis=0) for name in no_costs}
     if keeps_times:
         return maps | by_time, {}
     row_sums = {}
     threshold = inputs.settings["gps"].availability_threshold
-    for name, m in by_time.items():
+    for name in by_time.keys() - no_costs:
+        m = by_time[name]
         whole = jnp.nan_to_num(jnp.rint(m * SCALE)).astype(jnp.int32)
         row_sums[name] = jnp.sum(whole, axis=-1)
         ordered = jnp.sort(jnp.moveaxis(m, 0, -1))

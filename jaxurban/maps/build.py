@@ -33,6 +33,7 @@ from jaxurban.maps.tile_scene import TileScene
 from jaxurban.maps.tiled import Tiling
 from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Dop, Gps
+from jaxurban.metrics.gps_floor import GpsFloor
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.population import Population, check_has_people
 from jaxurban.metrics.protection import Protection
@@ -68,6 +69,7 @@ def build_maps(
     gps_horizontal: Dop | None = None,
     gps_vertical: Dop | None = None,
     protection: Protection | None = None,
+    gps_floor: GpsFloor | None = None,
 ) -> MetricMaps:
     """Return the metric maps of a city.
 
@@ -85,7 +87,8 @@ def build_maps(
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       gps, lidar, population, risk: settings of the metrics, such as ``gps=Gps(times="2020-04-27T16:00:00Z")``; ``gps``
         and ``population`` left out are those that the city was read with.
-      gps_horizontal, gps_vertical, protection: the same of metrics that are made on request, where they are given.
+      gps_horizontal, gps_vertical, protection, gps_floor: the same of metrics that are made on request, where they are
+        given.
 
     Returns:
       The maps, in memory: one variable for each metric, m from 0 to 1, ``[altitude, y, x]`` with the time (``gps``) or
@@ -116,6 +119,7 @@ def build_maps(
         gps_horizontal=gps_horizontal,
         gps_vertical=gps_vertical,
         protection=protection,
+        gps_floor=gps_floor,
     )
     heights = heights or city.heights or Heights()
     params = MapParams(altitudes_m, oversample, heights, sections, engine)
@@ -303,13 +307,15 @@ def map_inputs(
     gps_horizontal: Dop | None = None,
     gps_vertical: Dop | None = None,
     protection: Protection | None = None,
+    gps_floor: GpsFloor | None = None,
 ) -> tuple[MapInputs, SkyView]:
     """Return a city and its skies made ready for `all_maps`; the skies of all times are stacked along them.
 
     Args:
       city: what is mapped.
       grid: of the maps, such as that of maps.
-      altitudes_m, gps, lidar, population, risk, gps_horizontal, gps_vertical, protection: as for `build_maps`.
+      altitudes_m, gps, lidar, population, risk, gps_horizontal, gps_vertical, protection, gps_floor: as for
+        `build_maps`.
 
     Returns:
       The inputs, a pytree of the city's surface and the settings, and the skies, a pytree whose leaves have the times
@@ -332,6 +338,7 @@ def map_inputs(
         gps_horizontal=gps_horizontal,
         gps_vertical=gps_vertical,
         protection=protection,
+        gps_floor=gps_floor,
     )
     params = MapParams(altitudes_m, heights=city.heights or Heights(), sections=sections)
     check_region(city, grid)

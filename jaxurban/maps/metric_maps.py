@@ -17,6 +17,7 @@ from jaxurban.knowledge import Caution, Guesses, caution_of_guesses, guesses_fro
 from jaxurban.maps.levels import around, index_of
 from jaxurban.metrics.base import TIME_OF_DAY, UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
+from jaxurban.metrics.variables import stored_name
 from jaxurban.progress import LOG
 from jaxurban.public import FactsRepr, listed
 from jaxurban.settings import ObstacleRule, Planning, iso_utc
@@ -311,9 +312,11 @@ class MetricMaps(FactsRepr):
         """
         variable = self.variable(name)
         if variable != name and time is not None:
+            what = held_metrics(self.ds, costs_only=False)[name].label.split()[0]
+            kept = variable.rpartition("_")[2]
             raise InputError(
-                f"these maps hold {self.metrics[name].label.split()[0]} statistics over {len(self.times)} epochs and "
-                f'no map of {time}: leave time out (m is then the median), or make them with [gps] series = "epochs"'
+                f"these maps hold {what} statistics over {len(self.times)} epochs and no map of {time}: leave time out "
+                f'(it is then the {kept}), or make them with [gps] series = "epochs"'
             )
         if variable not in self.ds:
             raise InputError(
@@ -329,7 +332,9 @@ class MetricMaps(FactsRepr):
         return values.isel(index, missing_dims="ignore").values
 
     def variable(self, name: str) -> str:
-        """Return which variable holds a metric: its median where a long series keeps statistics, else its own.
+        """Return which variable holds a metric: where a long series keeps statistics its median, else its own.
+
+        Of the GPS floor a long series keeps the highest over the times.
 
         Returns:
           The name of the variable in ``ds``.
@@ -338,8 +343,7 @@ class MetricMaps(FactsRepr):
           >>> maps.variable("gps")  # of a long series: 'gps_median'
           'gps'
         """
-        median = f"{name}_median"
-        return median if name not in self.ds and median in self.ds else name
+        return stored_name(name, self.ds)
 
     @typed
     def is_free(self, altitude_m: float, obstacles: ObstacleRule | None = None) -> np.ndarray:

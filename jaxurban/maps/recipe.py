@@ -17,7 +17,7 @@ from jaxurban.maps.task import variables
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.maps.uncertain_heights import Spread, perturbed_cities
 from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE, Metric
-from jaxurban.metrics.variables import SCALE, TimeTotals, series_statistics
+from jaxurban.metrics.variables import HIGHEST, SCALE, TimeTotals, series_statistics
 from jaxurban.metrics.visibility import bounding_visibility
 from jaxurban.progress import Stage
 from jaxurban.settings import TO_GROUND
@@ -78,6 +78,8 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     others = [metric for metric in task.metrics.values() if metric not in of_sky]
     for metric in of_sky:
         make = _maps if task.keeps_times else _statistics
+        if not metric.is_cost:
+            make = _with_highest
         if metric not in tile.of_device:
             yield from _staged(make(tile, metric), stage, metric.name)
         if task.has_bounds(metric):
@@ -134,6 +136,17 @@ def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[Map
         for name, values in maps.items():
             if name == metric.name or not only_m:
                 yield MapLayer(name, place, values)
+
+
+def _with_highest(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
+    """Yield a metric that costs nothing at each time, where these maps are kept, and its highest over several times."""
+    highest = np.float32(-np.inf)
+    for layer in _maps(tile, metric):
+        highest = np.maximum(highest, layer.values)
+        if tile.task.keeps_times:
+            yield layer
+    if tile.task.has_series(metric):
+        yield MapLayer(f"{metric.name}_{HIGHEST}", (), highest)
 
 
 def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:

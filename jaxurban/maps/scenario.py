@@ -30,6 +30,7 @@ from jaxurban.kernels.engine import Engine
 from jaxurban.maps.params import MapParams
 from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Dop, Gps
+from jaxurban.metrics.gps_floor import GpsFloor
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.population import Population
 from jaxurban.metrics.protection import Protection
@@ -236,6 +237,7 @@ class Scenario(BaseModel):
       region, buildings, terrain, vegetation, obstacles, weights, planning, vehicle, study: as their classes say.
       gps, lidar, population, risk: settings of the metrics of every cost.
       gps_horizontal, gps_vertical, protection: of metrics that are made where their settings or a weight is given.
+      gps_floor: of the GPS floor, which is made where its settings are given.
       layers: cost layers of one's own, by name.
 
     Examples:
@@ -258,6 +260,7 @@ class Scenario(BaseModel):
     gps_horizontal: Dop | None = Field(default=None, exclude_if=operator.not_)
     gps_vertical: Dop | None = Field(default=None, exclude_if=operator.not_)
     protection: Protection | None = Field(default=None, exclude_if=operator.not_)
+    gps_floor: GpsFloor | None = Field(default=None, exclude_if=operator.not_)
     layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)
     weights: WeightSettings = Field(default_factory=Weights)
     planning: Planning = Planning()
@@ -312,7 +315,8 @@ class Scenario(BaseModel):
                 raise ValueError(
                     f"layers.{name}: source must be the path of a raster, got {layer.source!r}"
                 )
-        metrics = [*self.layers, *known_metrics()]
+        built_in = [metric.name for metric in known_metrics().values() if metric.is_cost]
+        metrics = [*self.layers, *built_in]
         for where, table in self._weight_tables.items():
             try:
                 table.checked(metrics)

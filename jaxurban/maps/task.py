@@ -27,6 +27,7 @@ from jaxurban.kernels.engine import uses_numba
 from jaxurban.knowledge import Guesses
 from jaxurban.maps.guesses import region_guesses
 from jaxurban.maps.params import MapParams
+from jaxurban.metrics import gps_floor
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.population import BlockLayers, block_layers
@@ -55,7 +56,8 @@ class MapTask:
       guesses: what the maps rest on that was guessed (see `jaxurban.knowledge`).
 
     Raises:
-      InputError: bounds of GPS under several clocks, or a layer with the name of a map of the spread.
+      InputError: bounds of GPS under several clocks, a layer with the name of a map of the spread, or a GPS floor in a
+        city with slabs.
     """
 
     city: City
@@ -73,6 +75,11 @@ class MapTask:
             raise InputError(
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
+            )
+        if self.city.hanging == SLABS and self.has_floor:
+            raise InputError(
+                "the GPS floor knows no slabs, below and above which the sky differs: read the city with "
+                'hanging = "to_ground", or leave gps_floor out'
             )
         for name in self.spread_metrics:
             shared_names = self.layers.keys() & derived(self.metrics[name])["spread"].keys()
@@ -92,6 +99,11 @@ class MapTask:
         """Return the settings of a metric."""
         own_layer = self.layers.get(metric.name)
         return self.params.sections[metric.section] if own_layer is None else own_layer
+
+    def has_series(self, metric: Metric) -> bool:
+        """Return whether maps hold what is kept of a metric over all times."""
+        is_several = self.num_times > 1 and not metric.is_cost
+        return TIME in metric.dims and (is_several or not self.keeps_times)
 
     def has_bounds(self, metric: Metric) -> bool:
         """Return whether maps hold bounds of a metric."""
@@ -116,6 +128,16 @@ class MapTask:
     def reach_m(self) -> float:
         """The greatest distance, in metres, at which what surrounds a cell counts in any of its metrics."""
         return max(metric.reach_m(self.settings_of(metric)) for metric in self.metrics.values())
+
+    @property
+    def has_floor(self) -> bool:
+        """Whether the GPS floor is made, which asks what is seen at every height from the ground on."""
+        return gps_floor.METRIC.section in self.params.sections
+
+    @property
+    def lowest_m(self) -> float:
+        """The lowest height above the ground at which satellites count."""
+        return 0.0 if self.has_floor else min(self.params.altitudes_m)
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -169,7 +191,7 @@ class MapTask:
             self.city,
             self.region,
             self.sky,
-            min(self.params.altitudes_m),
+            self.lowest_m,
             self.bands,
             self.params.population,
             self.population,
@@ -209,7 +231,7 @@ class MapTask:
             sky.azimuth_rad[sky.is_in_view],
             sky.elevation_rad[sky.is_in_view],
             highest_m,
-            min(self.params.altitudes_m),
+            self.lowest_m,
             part.resolution_m,
         )
         return surface_grid(self.city, part, self.reach_m, toward_m)
@@ -250,10 +272,10 @@ def variables(task: MapTask) -> dict[str, Variable]:
     """Return every variable that the maps of a task hold, by name: obstacles, metrics, then auxiliary rasters."""
     by_name = {"obstacle": AUXILIARY_VARIABLES["obstacle"]}
     for name, metric in task.metrics.items():
-        if TIME in metric.dims and not task.keeps_times:
+        if TIME not in metric.dims or task.keeps_times:
+            by_name |= metric.variables
+        if task.has_series(metric):
             by_name |= derived(metric)["series"]
-            continue
-        by_name |= metric.variables
         if task.has_bounds(metric):
             by_name |= derived(metric)["bounds"]
         if name in task.spread_metrics:

@@ -14,7 +14,8 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.custom import LAYERS
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.variables import TimeTotals
-from jaxurban.metrics.visibility import visibility
+from jaxurban.metrics.visibility import shadows_over, visibility
+from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface, obstacles_on
 
 
@@ -96,18 +97,31 @@ class TileScene:
         if time_index not in self._words:
             in_view = self.task.in_view(time_index)
             params = self.task.params
-            rings = None
-            if self.rings is not None and self.supersampled is None:
-                rings = [self.rings[time_index, int(s)] for s in in_view.numbers]
             words = visibility(
                 self.supersampled or self.surface,
                 *in_view.angles,
                 params.altitudes_m,
-                rings,
+                self._rings_of(time_index, in_view),
                 params.oversample,
             )
             self.keep(time_index, words)
         return self._words[time_index]
+
+    def shadows(self, time_index: int) -> np.ndarray:
+        """Return how high the shadows of the satellites of a time reach above the ground (`shadows_over`)."""
+        in_view = self.task.in_view(time_index)
+        return shadows_over(
+            self.supersampled or self.surface,
+            *in_view.angles,
+            self._rings_of(time_index, in_view),
+            self.task.params.oversample,
+        )
+
+    def _rings_of(self, time_index: int, in_view: InView) -> list[Ring] | None:
+        """Return the rings of the satellites of a time; None where the surface holds all that shadows the tile."""
+        if self.rings is None or self.supersampled is not None:
+            return None
+        return [self.rings[time_index, int(number)] for number in in_view.numbers]
 
     def keep(self, time_index: int, words: np.ndarray) -> None:
         """Keep visibility words for a time, which `words` then returns, and forget those of all other times."""
@@ -151,10 +165,11 @@ class TileScene:
                 supersampled=fine,
             )
 
-        # The satellites at the time. Every metric that has times has altitudes too.
+        # The satellites at the time, and what a metric without an altitude sees of them.
         if TIME in index:
             t = index[TIME]
-            scene = replace(scene, in_view=task.in_view(t), words=self.words(t)[:, a])
+            shadows, words = (self.shadows(t), None) if a is None else (None, self.words(t)[:, a])
+            scene = replace(scene, in_view=task.in_view(t), words=words, shadows=shadows)
 
         # The values of a user's raster or array.
         if metric.section == LAYERS and metric.name in task.bands:

@@ -35,7 +35,7 @@ COSTS = {"high-is-bad": high_is_bad, "low-is-bad": low_is_bad}
 
 
 def none_of_it(*_: Any) -> float:
-    """Return 0: a metric that looks at nothing beside its own cell, or keeps nothing beside its cells on a GPU."""
+    """Return 0: a metric that costs nothing, looks at nothing beside its own cell, or keeps nothing beside on a GPU."""
     return 0.0
 
 
@@ -105,6 +105,7 @@ class Variable:
       of: the metric that makes it; "" for none. A metric gives name, dims and caveat to all of its variables.
       is_averaged: whether overviews may hold means of it, which of counts and of what may be infinite are neither.
       standard_name: of the CF conventions; "" for none.
+      is_inf_missing: whether GeoTIFFs hold no value where it is infinite.
       caveat: what whoever reads it must know.
     """
 
@@ -122,6 +123,7 @@ class Variable:
     of: str = ""
     is_averaged: bool = True
     standard_name: str = ""
+    is_inf_missing: bool = False
     caveat: str = ""
 
     @property
@@ -158,7 +160,9 @@ class Scene:
         they hold nothing.
       only_m: further variables are not looked at, and need not be made.
       engine: which form of its kernels runs (`jaxurban.kernels.engine`).
-      satellites: the geometry of those of the time (`jaxurban.kernels.dop.Geometry`), for traced metrics.
+      shadows: ``[S, y, x]`` how high those of the satellites reach above the ground, for metrics of a time without an
+        altitude.
+      sky: the satellites of the time (`jaxurban.metrics.visibility.SkyView`), for traced metrics.
       ready: what `Metric.ready` has made on the host, for traced metrics.
     """
 
@@ -173,7 +177,8 @@ class Scene:
     rasters: dict[str, np.ndarray] = field(default_factory=dict)
     only_m: bool = False
     engine: Engine = "auto"
-    satellites: Any = None
+    shadows: Any = None
+    sky: Any = None
     ready: Any = None
 
 
@@ -231,7 +236,7 @@ class Metric:
       dims: along which its maps vary beside y and x: of ``"time"``, ``"altitude"``, ``"time_of_day"``, in this order.
       compute: returns the maps ``[y, x]`` of a scene by their variable: the metric m in [0, 1], float32, under
         ``name``, and those of ``also``. What they are inside obstacles, `Variable.inside` decides; NaN closes a cell.
-      cost: turns m into the cost c in [0, 1] (numbers, NumPy or JAX arrays).
+      cost: turns m into the cost c in [0, 1] (numbers, NumPy or JAX arrays); `none_of_it` where no path pays for it.
       label: what figures call it.
       cost_label: what lists of weights and of costs call it: what the route avoids; left out, the label.
       one_means: what a value of one means.
@@ -239,6 +244,7 @@ class Metric:
       colour_map: of its maps; perceptually uniform, each metric its own.
       unit: of its values.
       inside: what it is inside obstacles (see `Variable`).
+      own: its own variable, where that is no m in [0, 1].
       reach_m: how far beyond a cell it looks sideways; satellites' shadows apart.
       traced: returns, of a traced scene, what ``compute`` returns place by place, each with its altitudes or times of
         day in front: a function of arrays alone; None where there is none.
@@ -273,6 +279,7 @@ class Metric:
     cost_label: str = ""
     unit: str = "1"
     inside: float | None = np.nan
+    own: Variable | None = None
     reach_m: Callable[[Any], float] = none_of_it
     traced: Callable[[Scene, Any], dict[str, Array]] | None = None
     ready: "Callable[[Surface, Sequence[float], Any, Blocks | None], Any] | None" = None
@@ -300,7 +307,7 @@ class Metric:
     @property
     def variables(self) -> dict[str, Variable]:
         """Its own variable and all others that ``compute`` returns, by name."""
-        own = Variable(
+        own = self.own or Variable(
             self.name,
             self.label,
             self.unit,
@@ -312,6 +319,11 @@ class Metric:
             variable.name: replace(variable, of=self.name, dims=self.dims, caveat=self.caveat)
             for variable in (own, *self.also)
         }
+
+    @property
+    def is_cost(self) -> bool:
+        """Whether paths pay for it."""
+        return self.cost is not none_of_it
 
     @property
     def one_is(self) -> str:

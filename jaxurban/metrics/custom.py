@@ -30,7 +30,7 @@ from jaxurban.metrics.base import (
     Variable,
 )
 from jaxurban.metrics.registry import METRICS, known_metrics
-from jaxurban.metrics.variables import AUXILIARY_VARIABLES, derived
+from jaxurban.metrics.variables import AUXILIARY_VARIABLES, derived, stored_name
 from jaxurban.settings import not_negative
 from jaxurban.world.surface import Surface
 
@@ -252,11 +252,15 @@ def colour_of(name: str) -> str:
     return COLOURS[zlib.crc32(name.encode()) % len(COLOURS)]
 
 
-def held_metrics(ds: "xr.Dataset") -> dict[str, Metric]:
-    """Return the metrics of the cost that a dataset of maps holds, by name: the built-in ones, then a user's own.
+def held_metrics(ds: "xr.Dataset", costs_only: bool = True) -> dict[str, Metric]:
+    """Return the metrics that a dataset of maps holds, by name: the built-in ones, then a user's own.
 
-    A metric counts as held where its median is, which a long series keeps in its place. The variable of a user's layer
-    has its settings in the attribute ``layer`` (`Layer.record`).
+    A metric counts as held where what a long series keeps in its place is (`stored_name`). The variable of a user's
+    layer has its settings in the attribute ``layer`` (`Layer.record`).
+
+    Args:
+      ds: the maps.
+      costs_only: whether metrics that no path pays for are left out.
     """
     variables = ds.variables
     records = {
@@ -267,12 +271,17 @@ def held_metrics(ds: "xr.Dataset") -> dict[str, Metric]:
     metrics = {
         metric.name: metric
         for metric in known_metrics().values()
-        if metric.name in variables
-        or (TIME in metric.dims and f"{metric.name}_median" in variables)
+        if (metric.is_cost or not costs_only) and stored_name(metric.name, variables) in variables
     }
     for name, record in sorted(records.items()):
         metrics[name] = own_metric(name, Layer(**record))
     return metrics
+
+
+def is_of_sky(ds: "xr.Dataset", variable: Variable) -> bool:
+    """Return whether a variable of maps says something of the satellites of a time."""
+    metric = held_metrics(ds, costs_only=False).get(variable.of)
+    return metric is not None and TIME in metric.dims
 
 
 def held_variables(ds: "xr.Dataset") -> dict[str, Variable]:
@@ -281,12 +290,11 @@ def held_variables(ds: "xr.Dataset") -> dict[str, Variable]:
     A map that neither jaxurban nor a metric of the dataset makes gets a variable from its attributes.
     """
     known = dict(AUXILIARY_VARIABLES)
-    for name, metric in held_metrics(ds).items():
+    for name, metric in held_metrics(ds, costs_only=False).items():
         from_metric = derived(metric)
-        if f"{name}_median" in ds:
+        known |= metric.variables | from_metric["spread"]
+        if name not in ds or not metric.is_cost:
             known |= from_metric["series"]
-        else:
-            known |= metric.variables | from_metric["spread"]
 
     # The maps of the dataset, and variables for the unknown ones among them.
     maps = {

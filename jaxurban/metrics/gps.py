@@ -1,6 +1,5 @@
 """GPS: how well the satellites seen from each cell fix a position; on request level and upright apart."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
@@ -16,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt, UInt8
 
 from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
-from jaxurban.kernels.blocks import by_cells
+from jaxurban.kernels.blocks import BLOCK_CELLS, by_device_cells
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
 from jaxurban.metrics.base import (
     ALTITUDE,
@@ -196,9 +195,6 @@ class Gps:
 # The paper's table of DOP ratings, Poor above the last.
 RATING_UPPER_GDOP = (1.0, 4.0, 6.0, 8.0, 20.0)
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
-# Cells whose DOPs are made at once, by one core: what they need in between fits its cache.
-BLOCK_CELLS = 2**11
-WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
 
 
 class GpsMaps(NamedTuple):
@@ -241,14 +237,7 @@ def maps_of_words(
         m = gps_metric(dops.gdop, gdop_threshold)
         return GpsMaps._make((m, *dops, num_visible))
 
-    # Blocks of cells: small ones on a CPU, and elsewhere wide ones of equal size, so that hardly a cell is added to
-    # fill the last block. Fewer cells than a small block count as one.
-    num_cells = max(math.prod(words.shape[1:]), BLOCK_CELLS)
-    num_wide_blocks = math.ceil(num_cells / WIDE_BLOCK_CELLS)
-    wide_cells = math.ceil(num_cells / num_wide_blocks)
-    in_small_blocks = partial(by_cells, maps, num_together=BLOCK_CELLS)
-    in_wide_blocks = partial(by_cells, maps, num_together=wide_cells)
-    return lax.platform_dependent(words, cpu=in_small_blocks, default=in_wide_blocks)
+    return by_device_cells(maps, words)
 
 
 def satellites_of(in_view: InView) -> Geometry:
@@ -299,6 +288,7 @@ def rating(gdop: np.ndarray) -> np.ndarray:
     return np.searchsorted(RATING_UPPER_GDOP, gdop, side="left").astype(np.uint8)
 
 
+DopName = Literal["gdop", "pdop", "hdop", "vdop", "tdop"]
 DOPS = {
     "gdop": "geometric",
     "pdop": "position",
@@ -359,7 +349,7 @@ def _of_choices(scene: Scene, threshold: float) -> tuple[GpsMaps, np.ndarray]:
 
 def _traced(scene: Scene, params: Gps) -> dict[str, Any]:
     """Return the maps of all altitudes, of arrays that JAX may trace (`Metric.traced`)."""
-    return _named(maps_of_words(scene.words, scene.satellites, params.gdop_threshold))
+    return _named(maps_of_words(scene.words, scene.sky.satellites, params.gdop_threshold))
 
 
 def _soft(dop: str, threshold: str, scene: SoftScene, params: Any) -> Array:
@@ -436,7 +426,7 @@ def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
 
 def _traced_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
     """Return the same at all altitudes, of arrays that JAX may trace (`Metric.traced`)."""
-    maps = maps_of_words(scene.words, scene.satellites, params.dop_threshold)
+    maps = maps_of_words(scene.words, scene.sky.satellites, params.dop_threshold)
     return {name: gps_metric(getattr(maps, dop), params.dop_threshold)}
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from jaxurban.checks import one_of
 from jaxurban.errors import InputError
-from jaxurban.metrics import gps, lidar, population, protection, risk
+from jaxurban.metrics import gps, gps_floor, lidar, population, protection, risk
 from jaxurban.metrics.base import Metric
 
 METRICS: Mapping[str, Metric] = {
@@ -13,7 +13,8 @@ METRICS: Mapping[str, Metric] = {
 }
 # Made where somebody gives their settings or a weight.
 ON_REQUEST: Mapping[str, Metric] = {
-    metric.name: metric for metric in (gps.HORIZONTAL, gps.VERTICAL, protection.METRIC)
+    metric.name: metric
+    for metric in (gps.HORIZONTAL, gps.VERTICAL, protection.METRIC, gps_floor.METRIC)
 }
 
 

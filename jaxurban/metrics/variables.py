@@ -1,6 +1,6 @@
 """The maps that no metric makes, and the statistics over time of those that one does: what and how."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -33,8 +33,9 @@ KIND_COLOURS = {kind: GROUP_COLOURS[group] for kind, group in GROUPS.items()}
 CAVEAT = "comment"  # attribute: what whoever reads the values must know; the name is that of the CF conventions
 ROOF_KIND = "roof_kind"
 NEEDED = ("obstacle", "has_data")  # without these maps it is not a folder of maps
-# What is kept of a long series, behind the metric's name.
+# What is kept of a long series, behind the metric's name: of one that paths pay for, and of one that they do not.
 SERIES = ("availability", "median", "p05")
+HIGHEST = "highest"
 _bound = partial(
     Variable,
     unit="m",
@@ -122,6 +123,8 @@ AUXILIARY_VARIABLES = {
 def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
     """Return the variables that are made of a metric's own map, by kind and by name.
 
+    Of a metric that costs nothing there is its highest value over the times alone, under ``"series"``.
+
     ``"series"`` are statistics of a cell over many times, ``"region"`` statistics of all free cells over many times,
     ``"bounds"`` what brackets the map, ``"spread"`` statistics over uncertain heights.
     """
@@ -155,6 +158,10 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
     }
 
     without_time = tuple(dim for dim in metric.dims if dim != TIME)
+    if not metric.is_cost:
+        highest = {HIGHEST: ("highest over time", "")}
+        over_time = _variants(replace(own, dims=without_time), highest)
+        return {"series": over_time, "region": {}, "bounds": {}, "spread": {}}
     return {
         "series": _variants(replace(own, dims=without_time), series),
         "region": _variants(own, region),
@@ -176,6 +183,17 @@ def _variants(own: Variable, texts: Mapping[str, tuple[str, str]]) -> dict[str, 
         long_name = f"{own.long_name}, {text}"
         variants[name] = replace(own, name=name, long_name=long_name, one_means=one_means)
     return variants
+
+
+def stored_name(name: str, variables: Container[Hashable]) -> str:
+    """Return which of the variables of maps holds a metric: its own, or what a long series keeps in its place.
+
+    Args:
+      name: of the metric; it comes back where the maps do not hold it.
+      variables: the names in the maps.
+    """
+    names = name, f"{name}_median", f"{name}_{HIGHEST}"
+    return next((each for each in names if each in variables), name)
 
 
 def names_in(attributes: Mapping[str, Any], name: str) -> list[str]:

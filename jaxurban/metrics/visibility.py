@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -121,6 +121,20 @@ def visible_words(
     return sweep.words_along_lines(surface.top_m, height_m, sky.lines, sky.num, window=window)
 
 
+def traced_shadows(surface: Surface, sky: SkyView) -> Float[Array, "S y x"]:
+    """Return `shadows_over` by JAX, with satellites without effect too; arguments may be traced."""
+    surface = surface.of_hiding()
+    rows, cols = surface.window
+    window = rows.start, rows.stop, cols.start, cols.stop
+    top_m = sweep.heights_in_rounds(surface.top_m, sky.lines, window)
+    return _above_ground(top_m, surface.crop(surface.terrain_m))
+
+
+def _above_ground(top_m: Any, ground_m: Any) -> Any:
+    """Return heights above the ground of absolute ones; the ground is None where it is flat, at 0."""
+    return top_m if ground_m is None else top_m - ground_m
+
+
 def _heights(ground_m: AnyArray | None, altitudes_m: AnyArray) -> AnyArray:
     """Return the absolute height of receivers, ``[A, y, x]`` or over flat ground ``[A, 1, 1]``, in metres.
 
@@ -160,25 +174,57 @@ def visibility(
     surface = surface.of_hiding()
     azimuth = np.asarray(azimuth_rad, float)
     elevation = np.asarray(elevation_rad, float)
-
-    # Shadows are cast over the surface with its margin or, with rings, over the region alone. The four sides of all
-    # rings are stacked by side, each along ``S``.
-    rows, cols = surface.window
-    top_m = np.asarray(surface.top_m)
-    grid = surface.grid
-    ring = None
-    first_cell = rows.start, cols.start
-    if rings is not None:
-        top_m = top_m[rows, cols]
-        grid = surface.region
-        first_cell = (0, 0)
-        ring = Ring(*(np.stack(values) for values in zip(*rings, strict=True)))
-
+    top_m, first_cell, lines, ring = _cast_over(surface, azimuth, elevation, rings)
     words, receivers = _receivers(surface, altitudes_m, first_cell, len(azimuth), every)
-    blocks.mark_visible(words, top_m, receivers, ringed_lines(grid, azimuth, elevation), ring)
+    blocks.mark_visible(words, top_m, receivers, lines, ring)
     if surface.slabs is not None:
         _hide_behind_slabs(words, surface, surface.slabs, azimuth, elevation, receivers)
     return words
+
+
+def shadows_over(
+    surface: Surface,
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    rings: Sequence[Ring] | None = None,
+    every: int = 1,
+) -> Float[np.ndarray, "S y x"]:
+    """Return how high above the ground the shadow of each satellite reaches, in metres.
+
+    It is -inf where nothing stands toward the satellite. Arguments are those of `visibility`; the surface has no slabs.
+    """
+    surface = surface.of_hiding()
+    azimuth = np.asarray(azimuth_rad, float)
+    elevation = np.asarray(elevation_rad, float)
+    top_m, first_cell, lines, ring = _cast_over(surface, azimuth, elevation, rings)
+    region = surface.region
+    shape = region.num_rows // every, region.num_cols // every
+    receivers = blocks.Receivers(first_cell, every, None, np.empty(0, top_m.dtype))
+    shadow_m = blocks.shadows_on_receivers(top_m, shape, receivers, lines, ring)
+    own = slice(every // 2, None, every)
+    ground_m = surface.crop(surface.terrain_m)
+    return _above_ground(shadow_m, None if ground_m is None else np.asarray(ground_m)[own, own])
+
+
+def _cast_over(
+    surface: Surface,
+    azimuth_rad: np.ndarray,
+    elevation_rad: np.ndarray,
+    rings: Sequence[Ring] | None,
+) -> tuple[np.ndarray, tuple[int, int], DigitalLine, Ring | None]:
+    """Return what shadows are cast over: tops, the region's first cell among them, lines, and what is handed on.
+
+    They are cast over the surface with its margin or, with rings, over the region alone. The four sides of all rings
+    are stacked by side, each along ``S``. Arguments are those of `visibility`.
+    """
+    rows, cols = surface.window
+    top_m = np.asarray(surface.top_m)
+    if rings is None:
+        lines = ringed_lines(surface.grid, azimuth_rad, elevation_rad)
+        return top_m, (rows.start, cols.start), lines, None
+    ring = Ring(*(np.stack(values) for values in zip(*rings, strict=True)))
+    lines = ringed_lines(surface.region, azimuth_rad, elevation_rad)
+    return top_m[rows, cols], (0, 0), lines, ring
 
 
 def _receivers(

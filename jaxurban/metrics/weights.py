@@ -196,7 +196,8 @@ class Weights:
           unknown weight 'risks' (did you mean 'risk'?)
         """
         if names is not None:
-            known = dict.fromkeys(("distance", *known_metrics(), *names))
+            costs = [name for name, metric in known_metrics().items() if metric.is_cost]
+            known = dict.fromkeys(("distance", *costs, *names))
             for name in self.to_dict():
                 if name not in known:
                     hint = nearest_name(name, known) or f": the weights are {', '.join(known)}"

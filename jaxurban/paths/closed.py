@@ -94,6 +94,7 @@ def constraints_of(path: PlannedPath) -> Constraints:
         bounds=tuple(map(Bound.parse, record.get("require", ()))),
         vehicle=Vehicle.of(path.settings),
         unknown_heights=record.get("unknown_heights"),
+        above_gps_floor=record.get("above_gps_floor", False),
         **{name: record.get(name, 0.0) for name in CLEARANCES},
     )
 

@@ -54,6 +54,7 @@ KEPT_CLEAR = {  # entries of `Constraints.to_dict`, as messages call them
     "vehicle_radius_m": "vehicle's radius",
     "vertical_clearance_m": "vertical clearance",
 }
+GPS_FLOOR = "gps_floor"  # the metric
 Altitudes = float | Sequence[float]
 
 
@@ -84,7 +85,8 @@ class Bound:
             )
         if not math.isfinite(self.value):
             raise InputError(f"the bound {self} needs a finite number, as in gps>=0.3")
-        if self.variable in known_metrics() and not 0 <= self.value <= 1:
+        metric = known_metrics().get(self.variable)
+        if metric is not None and metric.is_cost and not 0 <= self.value <= 1:
             raise InputError(
                 f"the bound {self} asks what no cell or every cell has: m_{self.variable} lies in 0 to 1"
             )
@@ -145,6 +147,27 @@ class Bound:
         return is_kept
 
 
+def gps_floor_m(maps: "MetricMaps", time: str | None = None) -> np.ndarray:
+    """Return ``[Y, X]`` the heights above the ground from which GPS is good, inf where none suffices.
+
+    Args:
+      maps: that hold the GPS floor; of a long series, the highest over its times.
+      time: of the map; the first if left out.
+
+    Raises:
+      InputError: maps without it, or an unknown time.
+    """
+    from jaxurban.metrics.variables import stored_name  # imported here: it brings JAX
+
+    name = stored_name(GPS_FLOOR, maps.ds)
+    if name not in maps.ds:
+        raise InputError(
+            "these maps hold no GPS floor: make them with a section [gps_floor], or leave above_gps_floor "
+            "(--above-gps-floor) out"
+        )
+    return maps.m(name, time=time)
+
+
 @typed
 @dataclass(frozen=True)
 class Constraints:
@@ -163,9 +186,11 @@ class Constraints:
       vehicle: what flies; its radius is kept beside ``clearance_m``.
       unknown_heights: how high roofs of unknown height count: ``"highest"``, their bound; ``"likely"``, what 99 % of
         their kind keep below; ``"guess"``, no more than the maps show.
+      above_gps_floor: whether paths stay at or above the maps' GPS floor; missions then take off only where it is 0.
 
-    What of the last four is left out is as the maps' scenario has it, or else the preset (`under`): 0 m, 3 m over
-    roofs (0 under ``"paper"``), a point that any route suits, and ``"likely"`` (``"guess"`` under ``"paper"``).
+    What of clearances, vehicle and unknown heights is left out is as the maps' scenario has it, or else the preset
+    (`under`): 0 m, 3 m over roofs (0 under ``"paper"``), a point that any route suits, and ``"likely"`` (``"guess"``
+    under ``"paper"``).
 
     Raises:
       InputError: a clearance that is not a number of metres from 0 up.
@@ -186,6 +211,7 @@ class Constraints:
     vertical_clearance_m: float | None = None
     vehicle: Vehicle | None = None
     unknown_heights: UnknownHeights | None = None
+    above_gps_floor: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a clearance below 0; one that is None comes from the scenario or the preset."""
@@ -205,13 +231,14 @@ class Constraints:
         vertical_clearance_m: float | None = None,
         vehicle: Vehicle | None = None,
         unknown_heights: UnknownHeights | None = None,
+        above_gps_floor: bool = False,
     ) -> "Constraints":
         """Return the constraints in files, texts and numbers.
 
         Args:
           no_fly: a file of polygons or several (GeoJSON, KML ...; `read_zones` says what is read).
           require: ``"gps>=0.3"``, or a list of such.
-          clearance_m, vertical_clearance_m, vehicle, unknown_heights: the attributes.
+          clearance_m, vertical_clearance_m, vehicle, unknown_heights, above_gps_floor: the attributes.
 
         Returns:
           `Constraints` with every zone of the files and every bound, in their order.
@@ -233,7 +260,7 @@ class Constraints:
 
             zones.extend(read_zones(file))
         bounds = map(Bound.parse, as_tuple(require))
-        kept = clearance_m, vertical_clearance_m, vehicle, unknown_heights
+        kept = clearance_m, vertical_clearance_m, vehicle, unknown_heights, above_gps_floor
         return cls(tuple(zones), tuple(bounds), *kept)
 
     def __str__(self) -> str:
@@ -329,7 +356,7 @@ class Constraints:
         Returns:
           ``no_fly`` (a dictionary for each zone, its floor and ceiling in metres or None where it has none) and
           ``require`` (bounds as texts). Clearances in metres and what the vehicle is follow where they are not 0, and
-          ``unknown_heights``.
+          ``unknown_heights``; and ``above_gps_floor`` where it is asked.
 
         Examples:
           >>> record = ju.Constraints.read(require="gps>=0.5", clearance_m=5.0).to_dict()
@@ -354,6 +381,7 @@ class Constraints:
             **{name: float(metres) for name, metres in self._clearances_m.items() if metres},
             **(self.vehicle or Vehicle()).to_dict(),
             "unknown_heights": self.of_unknown,
+            **({"above_gps_floor": True} if self.above_gps_floor else {}),
         }
 
     def at(self, time: str | None) -> "Constraints":
@@ -429,7 +457,8 @@ class Constraints:
           where heights of roofs are guessed.
 
         Raises:
-          InputError: a bound on a map that is not there, or an unknown altitude, time or time of day.
+          InputError: a bound on a map that is not there, a GPS floor that is not, or an unknown altitude, time or time
+            of day.
 
         Examples:
           >>> limits = ju.Constraints(clearance_m=10.0)
@@ -440,10 +469,12 @@ class Constraints:
         """
         levels_m = np.atleast_1d(np.asarray(altitude_m, float))
         closed = self._closed_by_zones(maps.grid, levels_m)
+        floor_m = gps_floor_m(maps, time) if self.above_gps_floor else np.float32(0)
         # Each `level_closed` is a view of `closed`, so that what is added to it is added there.
         for level_closed, z_m in zip(closed, levels_m.tolist(), strict=True):
             for bound in self.bounds:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
+            level_closed |= ~(floor_m <= z_m)
             if self.keeps_clear or "roof_guessed" in maps.ds:
                 level_closed |= closed_by_clearance(maps, z_m, self)
         return closed if np.ndim(altitude_m) else closed[0]
@@ -459,7 +490,7 @@ class Constraints:
         """Return where a mission may take off and land: at an altitude, and straight below it down to the ground.
 
         A cell that a roof touches is not free, however high the roof is, nor one nearer to a roof than the clearance.
-        Zones count from the ground up to the altitude, and bounds at each of the maps' altitudes below it.
+        Zones and the GPS floor count from the ground up, and bounds at each of the maps' altitudes below it.
 
         Args:
           maps, altitude_m, time, time_of_day: as for `closed`.
@@ -483,6 +514,8 @@ class Constraints:
         for bound in self.bounds:
             for z_m in levels_m:
                 is_free &= bound.is_kept(maps, z_m, time, time_of_day)
+        if self.above_gps_floor:
+            is_free &= gps_floor_m(maps, time) <= 0
         return is_free
 
     def _closed_by_zones(self, grid: Grid, levels_m: np.ndarray) -> np.ndarray:
@@ -526,8 +559,8 @@ class Constraints:
           time, time_of_day: of the GPS and the population map; the first if left out.
 
         Returns:
-          Texts for people, zones first, then bounds, and a guessed height or else the clearances; empty where no
-          constraint closes the cell.
+          Texts for people, zones first, then bounds, the GPS floor, and a guessed height or else the clearances; empty
+          where no constraint closes the cell.
 
         Examples:
           >>> ju.Constraints.read(require="gps>=0.999").reasons(maps, 60.0, (2, 2))
@@ -547,6 +580,11 @@ class Constraints:
             if not is_kept[cell]:
                 reasons.append(f"the bound {bound}")
 
+        if self.above_gps_floor:
+            floor_m = gps_floor_m(maps, time)[cell]
+            if not floor_m <= altitude_m:
+                reasons.append(f"the GPS floor of {floor_m:.1f} m there")
+
         limit_m = limit_near_m(maps, cell, self.horizontal_m, self.of_unknown)
         if limit_m > 0 and limit_m >= altitude_m:
             reasons.append(f"a roof of guessed height that {reach_said(limit_m)}")
@@ -560,7 +598,8 @@ def describe_constraints(record: Mapping[str, Any]) -> str:
     """Return constraints for a person to read, from a record of `Constraints.to_dict`; empty where there are none."""
     num_zones = len(record.get("no_fly", ()))
     zones = {0: "", 1: "1 no-fly zone"}.get(num_zones, f"{num_zones} no-fly zones")
-    phrases = [zones, *record.get("require", ()), *describe_clearances(record)]
+    floor = "at or above the GPS floor" if record.get("above_gps_floor") else ""
+    phrases = [zones, *record.get("require", ()), floor, *describe_clearances(record)]
     return ", ".join(filter(None, phrases))
 
 

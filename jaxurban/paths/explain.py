@@ -8,12 +8,14 @@ import pandas as pd
 
 from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
+from jaxurban.kernels.tolerances import SAME_HEIGHT_M
 from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.gps import FIX, has_no_fix
+from jaxurban.metrics.variables import stored_name
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.closed import constraints_of
-from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.constraints import GPS_FLOOR, Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.legs import Steps
 from jaxurban.paths.path import PlannedPath
@@ -30,6 +32,7 @@ from jaxurban.paths.route_report import (
     CLEARANCE,
     COST_OF,
     DENSITY,
+    FLOOR,
     OUTSIDE,
     OVER_ROOF,
     VISIBLE,
@@ -96,7 +99,7 @@ def explain(
     # The route by cell, who flies it, and the map that it was planned on.
     states, parts = cut_on(planned, maps)
     metrics = list(maps.metrics)
-    shown = {name: name for name in metrics} | EXTRA_MAPS
+    shown = {name: name for name in metrics} | EXTRA_MAPS | {stored_name(GPS_FLOOR, maps.ds): FLOOR}
     profile = profile_of(parts, maps, shown, planned.settings)
     given = values_given({"speed_m_s": speed_m_s, "power_w": power_w})
     vehicle = replace(Vehicle.of(planned.settings), **given)
@@ -175,7 +178,7 @@ def with_return_altitude(
 
 
 def _amounts(parts: Steps, profile: pd.DataFrame, vehicle: Vehicle, swath_m: float) -> pd.DataFrame:
-    """Return a row for each part of a route with what adds up along it: length, people, no fix, time and energy.
+    """Return a row for each part of a route with what adds up along it: lengths, people, time and energy.
 
     What the maps or the vehicle do not say is left out.
     """
@@ -185,6 +188,9 @@ def _amounts(parts: Steps, profile: pd.DataFrame, vehicle: Vehicle, swath_m: flo
         amounts["people_overflown"] = people_below(profile[DENSITY], parts, swath_m)
     if FIX in profile:
         amounts["no_fix_m"] = length_m * has_no_fix(profile[FIX].to_numpy())
+    if FLOOR in profile:
+        is_below = ~(profile[FLOOR].to_numpy() <= parts.z_m.min(axis=1) + SAME_HEIGHT_M)
+        amounts["below_gps_floor_m"] = length_m * is_below
     if vehicle.speed_m_s is not None:
         rise_m = parts.z_m[:, 1] - parts.z_m[:, 0]
         amounts["time_s"] = vehicle.flight_s(length_m, rise_m, vehicle.speed_m_s)

@@ -12,7 +12,7 @@ from jaxurban.io.read.zone import Zone
 from jaxurban.kernels.tolerances import FILE_MARGIN_M, GROUND_TOLERANCE_M
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.clearance import reach_said
-from jaxurban.paths.constraints import Bound, Constraints
+from jaxurban.paths.constraints import Bound, Constraints, gps_floor_m
 from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts, merged
 from jaxurban.paths.corners_cut import corners_of
 from jaxurban.paths.elevation import Elevation
@@ -280,7 +280,7 @@ def _closed(
     times: Sequence[str | None],
     time_of_day: str | None,
 ) -> Iterator[pd.DataFrame]:
-    """Yield, for each bound and each layer of the user, a table of the stretches in cells that it closes.
+    """Yield, for each bound, each layer of the user and the GPS floor, a table of the stretches that it closes.
 
     A bound closes cells where it is not kept, a layer those where it has no value. A step at an altitude of the maps is
     judged there. One between two altitudes is judged at their middle, where a bound must hold at both. One beyond all
@@ -314,6 +314,14 @@ def _closed(
             is_closed[is_here] |= ~is_kept[tuple(steps.cell[is_here].T)]
         stretches = merged(steps.table(np.flatnonzero(is_closed)))
         yield stretches.assign(kind="closed", what=f"enters cells that {fault}")
+
+    # The GPS floor is exact in height, and so is the mission, but for what files round.
+    if limits.above_gps_floor:
+        lowest_m = np.where(is_on_level, nearest_m, steps.z_m.min(axis=1)) + FILE_MARGIN_M
+        floors_m = [gps_floor_m(maps, time)[tuple(steps.cell.T)] for time in times]
+        is_below = ~(np.max(floors_m, axis=0) <= lowest_m)
+        stretches = merged(steps.table(np.flatnonzero(is_below)))
+        yield stretches.assign(kind="closed", what="flies below the GPS floor")
 
 
 def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> list[pd.DataFrame]:

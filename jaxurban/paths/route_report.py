@@ -20,12 +20,14 @@ CLEARANCE, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over
 TO_GUESSED = "guessed_roof_away_m"
 REACH = "roof_limit_m"  # up to which a roof of guessed height may reach, 0 where there is none
 DENSITY = "density_per_km2"
+FLOOR = "gps_floor_m"
 COST_OF = "cost_of_"  # before the name of a layer, of its part of the cost
 GRIDS_M = (100.0, 200.0, 500.0)  # printed always: they disagree where towers stand
 SEGMENT_HEADS = {  # what a terminal has room for beside the costs; `RouteReport.segments` has more
     "min_gps": "min gps",
     "people_overflown": "people",
     "no_fix_m": "no fix m",
+    "below_gps_floor_m": "below floor m",
     CLEARANCE: "clear m",
     "time_s": "time s",
     "energy_wh": "Wh",
@@ -143,9 +145,10 @@ class RouteReport(FactsRepr):
     Attributes:
       totals: of the whole route: ``length_m``, ``cost`` and ``cost_of_*`` (distance and each metric),
         ``mean_*`` of each metric m (over the length), ``people_overflown`` (see `explain`),
-        ``no_fix_m`` (length without a position fix: HDOP is infinite), ``nearest_wall_m``, ``walls_outside_m`` (see
-        `explain`), ``least_over_roofs_m`` (above the roofs beneath; NaN over none), ``time_s``, ``energy_wh``,
-        ``return_altitude_m`` (in the reports of the command and the viewer; NaN where none is known).
+        ``no_fix_m`` (length without a position fix: HDOP is infinite), ``below_gps_floor_m`` (length below the maps'
+        GPS floor), ``nearest_wall_m``, ``walls_outside_m`` (see `explain`), ``least_over_roofs_m`` (above the roofs
+        beneath; NaN over none), ``time_s``, ``energy_wh``, ``return_altitude_m`` (in the reports of the command and the
+        viewer; NaN where none is known).
         What the maps or the arguments do not say is left out.
       segments: a row for each of a few parts of nearly equal length: the same, ``from_m`` and ``to_m`` along
         the route, and ``min_*`` and ``max_*`` of each metric. The sums of costs, lengths and people are the totals.

@@ -10,7 +10,8 @@ from matplotlib.colors import BoundaryNorm, Normalize
 
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
-from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scale, Variable, high_is_bad
+from jaxurban.metrics.base import ALTITUDE, Metric, Scale, Variable, high_is_bad
+from jaxurban.metrics.custom import is_of_sky
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR
 from jaxurban.paths.closed import CAUSES, causes_at, obstacles_at
@@ -198,7 +199,7 @@ def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
 
 def _group(maps: MetricMaps, variable: Variable) -> str:
     """Return the heading of the list in which a variable stands that is neither a metric nor a cost."""
-    if variable.of and TIME in maps.metrics[variable.of].dims:
+    if is_of_sky(maps.ds, variable):
         return "Satellites"
     return "Further maps" if ALTITUDE in variable.dims and variable.name != "obstacle" else "Ground"
 

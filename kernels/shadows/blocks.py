@@ -91,6 +91,27 @@ def mark_visible(
         _walk(tops, lines, rings, which, receivers, words[which[0] // WORD_BITS])
 
 
+def shadows_on_receivers(
+    top_m: Float[np.ndarray, "Y X"],
+    shape: tuple[int, int],
+    receivers: Receivers,
+    lines: DigitalLine,
+    rings: Ring | None = None,
+) -> Float[np.ndarray, "S y x"]:
+    """Return how high each satellite's shadow reaches at the receivers, which `mark_visible` compares with theirs.
+
+    Args:
+      top_m, receivers, lines, rings: as for `mark_visible`; the receivers' altitudes do not matter.
+      shape: rows and columns of receivers.
+    """
+    heights_m = np.full((len(lines.heading), *shape), -np.inf, top_m.dtype)
+    for which in _bundles(lines):
+        bundle_m = heights_m[which]
+        _walk(_Tops(top_m), lines, rings, which, receivers, bundle_m)
+        heights_m[which] = bundle_m
+    return heights_m
+
+
 def hand_on(
     top_m: Float[np.ndarray, "Y X"], lines: DigitalLine, rings: Ring
 ) -> tuple[Float[np.ndarray, "S X"], Float[np.ndarray, "S Y"]]:
@@ -148,9 +169,9 @@ def _walk(
     rings: Ring | None,
     which: np.ndarray,
     receivers: Receivers,
-    words: UInt[np.ndarray, "A y x"],
+    marked: UInt[np.ndarray, "A y x"] | Float[np.ndarray, "n y x"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cast the shadows of satellites of one quadrant block by block, mark a word, and return what is handed on.
+    """Cast the shadows of satellites of one quadrant block by block, mark receivers, and return what is handed on.
 
     Blocks are visited from the source on, row of blocks by row of blocks, so that what a block's neighbours toward the
     source hand on is known before it is cast.
@@ -159,7 +180,7 @@ def _walk(
       tops: what throws shadows.
       lines, rings, receivers: as in `mark_visible`.
       which: ``[n]`` numbers of the satellites, of one quadrant and one word.
-      words: their word for all receivers; altered.
+      marked: of all receivers their word, or how high each satellite's shadow reaches there; altered.
 
     Returns:
       ``[n, X]`` and ``[n, Y]`` the grid's row, and column, farthest from the source (see `hand_on`).
@@ -168,12 +189,13 @@ def _walk(
     dtype = tops.top_m.dtype
     num = len(which)
     side = _side(shape, receivers.every)
+    marks_words = marked.dtype == np.uint32
     toward = tuple(int(ahead) for ahead in lines.toward[which[0]])  # 1 or -1, by axis
 
     # Where blocks begin, as far as receivers need them.
     ends = [
         first + size * receivers.every
-        for first, size in zip(receivers.first_cell, words.shape[1:], strict=True)
+        for first, size in zip(receivers.first_cell, marked.shape[1:], strict=True)
     ]
     row_starts, col_starts = (
         _starts(*axis, side) for axis in zip(shape, toward, receivers.first_cell, ends, strict=True)
@@ -212,8 +234,8 @@ def _walk(
                 at.phase,
                 (np.int32(last_row), np.int32(last_col)),
             )
-            word, row_m, side_m = cast(block, every=receivers.every)
-            at.mark(words, word)
+            marks, row_m, side_m = cast(block, every=receivers.every, marks_words=marks_words)
+            at.mark(marked, marks)
             side_m = np.asarray(side_m)
             next_m[:, 1 + cols.start : 1 + cols.stop] = np.asarray(row_m)[
                 :, cols.start - col : cols.stop - col
@@ -300,8 +322,8 @@ class _Place(NamedTuple):
         row, col = self.phase
         return ground_m[row::every, col::every][:size, :size] + z_m
 
-    def mark(self, words: UInt[np.ndarray, "A y x"], word: Array) -> None:
-        """Join (OR) a block's word ``[A, t, t]`` with the region's words ``[A, y, x]``, in place."""
+    def mark(self, marked: np.ndarray, marks: Array) -> None:
+        """Join a block's words ``[A, t, t]`` (OR) or shadows ``[n, t, t]`` (maximum) with the region's, in place."""
         # Row and column of the block's first receiver among the region's; may be negative.
         every = self.receivers.every
         size = self.side // every
@@ -312,14 +334,17 @@ class _Place(NamedTuple):
         # The region's receivers that the block holds.
         rows, cols = (
             slice(max(start, 0), max(0, min(start + size, num)))
-            for start, num in zip(starts, words.shape[1:], strict=True)
+            for start, num in zip(starts, marked.shape[1:], strict=True)
         )
         if rows.start < rows.stop and cols.start < cols.stop:
-            words[:, rows, cols] |= np.asarray(word)[
-                :,
+            inside = marked[:, rows, cols]
+            join = np.bitwise_or if marked.dtype == np.uint32 else np.maximum
+            here = np.asarray(marks)[
+                : len(marked),
                 rows.start - starts[0] : rows.stop - starts[0],
                 cols.start - starts[1] : cols.stop - starts[1],
             ]
+            join(inside, here, out=inside)
 
 
 class Block(NamedTuple):
@@ -346,10 +371,10 @@ class Block(NamedTuple):
     last: tuple[np.int32, np.int32]
 
 
-@partial(kept_jit, static_argnames=("every",))
+@partial(kept_jit, static_argnames=("every", "marks_words"))
 def cast(
-    block: Block, *, every: int = 1
-) -> tuple[UInt[Array, "A t t"], Float[Array, "S T"], Float[Array, "S T"]]:
+    block: Block, *, every: int = 1, marks_words: bool = True
+) -> tuple[UInt[Array, "A t t"] | Float[Array, "S t t"], Float[Array, "S T"], Float[Array, "S T"]]:
     """Return the word of a block's receivers, and the row and the column that the block hands on.
 
     Satellites are cast one after the other; those that fill up are left out.
@@ -357,9 +382,11 @@ def cast(
     Args:
       block: the block with its satellites.
       every: n: receivers stand in every n-th cell both ways.
+      marks_words: False for the heights of the shadows instead of the word.
 
     Returns:
-      ``[A, t, t]`` uint32 with the bits of the satellites seen; ``[S, T]`` the row and ``[S, T]`` the column of
+      ``[A, t, t]`` uint32 with the bits of the satellites seen, or ``[S, t, t]`` the height of each one's shadow at the
+      receivers, -inf of those that fill up; ``[S, T]`` the row and ``[S, T]`` the column of
       ``max(raised, sweep)`` numbered by ``block.last``.
     """
     side = len(block.roofs.top_m)
@@ -372,16 +399,23 @@ def cast(
     ]
 
     def add(k: Array, result: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """Add satellite k to the word, and what the block hands on for it."""
-        word, rows, cols = result
+        """Add satellite k to the marks, and what the block hands on for it."""
+        marks, rows, cols = result
         line, ring = jax.tree.map(lambda values: values[k], (block.lines, block.rings))
         shadow_m, row_m, col_m = lax.switch(line.heading, headings, line, ring)
-        seen = jnp.where(shadow_m[None] <= block.height_m, block.bits[k], jnp.uint32(0))
-        return word | seen, rows.at[k].set(row_m), cols.at[k].set(col_m)
+        if marks_words:
+            seen = jnp.where(shadow_m[None] <= block.height_m, block.bits[k], jnp.uint32(0))
+            marks = marks | seen
+        else:
+            marks = marks.at[k].set(shadow_m)
+        return marks, rows.at[k].set(row_m), cols.at[k].set(col_m)
 
-    word = jnp.zeros((len(block.height_m), side // every, side // every), jnp.uint32)
+    size = side // every
+    marks = jnp.full((len(block.bits), size, size), -jnp.inf, dtype)
+    if marks_words:
+        marks = jnp.zeros((len(block.height_m), size, size), jnp.uint32)
     edges = jnp.full((len(block.bits), side), -jnp.inf, dtype)
-    return lax.fori_loop(0, block.num, add, (word, edges, edges))
+    return lax.fori_loop(0, block.num, add, (marks, edges, edges))
 
 
 def _cast_along_rows(

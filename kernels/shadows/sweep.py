@@ -296,6 +296,19 @@ def heights_by_doubling(top_m: Array, lines: DigitalLine, window: Window) -> Arr
     return jax.vmap(partial(_height_by_doubling, top_m))(lines)[:, *_kept(window)]
 
 
+def heights_in_rounds(top_m: Array, lines: DigitalLine, window: Window) -> Array:
+    """Return `shadow_heights` where nobody differentiates: a GPU casts `TOGETHER` satellites at once."""
+
+    def by_doubling(top_m: Array, lines: DigitalLine) -> Array:
+        def cast(line: DigitalLine) -> Array:
+            return _height_by_doubling(top_m, line)[_kept(window)]
+
+        return lax.map(cast, lines, batch_size=TOGETHER)
+
+    by_sweep = partial(heights_by_sweep, window=window)
+    return lax.platform_dependent(top_m, lines, cpu=by_sweep, default=by_doubling)
+
+
 def _height_by_doubling(top_m: Array, line: DigitalLine) -> Array:
     """Return `shadow_height`, by doubling."""
     passes = math.ceil(math.log2(max(2, *top_m.shape)))  # along the longer side

@@ -142,11 +142,11 @@ def test_a_runs_key_tells_clocks_metrics_and_slabs_apart():
 
 @pytest.mark.parametrize("name", ON_REQUEST)
 def test_a_section_or_a_weight_asks_for_a_metric_on_request(name):
+    by_weight = ({"weights": {name: 2.0}}, 1), ({"weights": {name: 0}}, 0)
     for sections, is_there in (
         ({}, 0),
         ({name: {}}, 1),
-        ({"weights": {name: 2.0}}, 1),
-        ({"weights": {name: 0}}, 0),
+        *(by_weight if ON_REQUEST[name].is_cost else ()),
     ):
         scenario = of(**sections)
         assert getattr(scenario, name) == (ON_REQUEST[name].params() if is_there else None)

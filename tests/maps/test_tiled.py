@@ -27,6 +27,7 @@ from jaxurban.maps.run import RunContext, make_zarr
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tiled import Tiling
 from jaxurban.metrics.custom import Layer
+from jaxurban.metrics.gps_floor import GpsFloor
 from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.risk import Risk
 from jaxurban.progress import Report
@@ -45,6 +46,8 @@ VARIED = {
     "hpl",
     "vpl",
     "within_limits",
+    "gps_floor",
+    "gps_floor_highest",
 } | {
     f"protection_{what}" for what in ("availability", "median", "p05")
 }  # maps that must not be the same everywhere
@@ -97,6 +100,16 @@ SLOW = {
     "terrain, tiles by JAX": (lambda: with_section(with_terrain=True), RAGGED, {"engine": "jax"}),
     "protection": (lambda: with_section(protection=WIDE), (16, 16), {}),
     "protection's statistics": (lambda: with_section("statistics", protection=WIDE), (16, 16), {}),
+    "GPS floor over terrain": (
+        lambda: with_section(with_terrain=True, gps_floor=GpsFloor()),
+        RAGGED,
+        {},
+    ),
+    "GPS floor, the highest": (
+        lambda: with_section("statistics", gps_floor=GpsFloor()),
+        (16, 16),
+        {},
+    ),
     "slabs": (slabs, (34, 58), {}),
     "slabs that touch": (lambda: slabs(heights=Heights(all_touched=True)), (34, 58), {}),
     "drawn heights": (lambda: slabs(heights=Heights(height_samples=3)), (34, 58), {}),

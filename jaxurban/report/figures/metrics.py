@@ -13,7 +13,7 @@ from jaxurban.checks import one_of
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
-from jaxurban.metrics.custom import colour_of, held_variables
+from jaxurban.metrics.custom import colour_of, held_variables, is_of_sky
 from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import (
@@ -256,6 +256,7 @@ def plot_metric(
         return plot_obstacles(maps, altitude_m=altitude_m, width=width)
     colours = metric_colours(maps, name)
     patches = obstacle_patches(maps)
+    has_sky = is_of_sky(maps.ds, variable)
 
     # A map with altitudes has a panel for each of them, in which its mean stands.
     if ALTITUDE in variable.dims:
@@ -268,20 +269,26 @@ def plot_metric(
         if variable.name not in maps.ds:  # computed here, from the maps of all times
             heading += f" over {len(maps.times)} epochs"
         heading += ", by altitude above ground"
-        has_sky = bool(variable.of) and TIME in maps.metrics[variable.of].dims
         panels, note = varied(panels, frame_note(maps, time, has_sky=has_sky, of=name))
 
-    # A map without altitudes has no obstacles, and a panel for each time of day if it varies with that.
+    # A map without altitudes has no obstacles, and a panel for each time of day if it varies with that. One of heights
+    # from which GPS is good says over which share of the area each altitude is high enough.
     else:
+        time = (time or maps.times[0]) if TIME in variable.dims else None
         times_of_day: Sequence[str | None] = (None,)
         if TIME_OF_DAY in variable.dims:
             times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
-        panels = [
-            MapPanel(day or "", [DrawnMap(maps.m(name, time_of_day=day), colours)])
-            for day in times_of_day
-        ]
+        panels = []
+        for day in times_of_day:
+            values = maps.m(name, time=time, time_of_day=day)
+            title = _enough_of(values, maps.altitudes_m) if has_sky else day or ""
+            # Where no height suffices it is infinite, which is drawn as the highest.
+            drawn = np.minimum(values, np.float32(colours.norm.vmax)) if has_sky else values
+            panels.append(MapPanel(title, [DrawnMap(drawn, colours)]))
         heading = variable.heading
-        note = frame_note(maps, has_sky=False)
+        if has_sky:
+            heading += f": {maps.ds[name].attrs['long_name']}"
+        note = frame_note(maps, time, has_sky=has_sky, of=name)
         patches = patches[1:]  # all but obstacles
 
     # The legend of classes, whose second one means a value of one, or a colour bar.
@@ -307,12 +314,12 @@ def plot_epochs(
       width: see `plot_metric`.
 
     Raises:
-      InputError: a map that has no times, or an altitude that these maps do not hold.
+      InputError: a map that has no times or no altitudes, or an altitude that these maps do not hold.
     """
     maps = as_maps(maps)
     z = min(maps.altitudes_m) if altitude_m is None else altitude_m
     variables = drawn_variables(maps)
-    timed = [each for each in variables if TIME in variables[each].dims]
+    timed = [each for each in variables if {TIME, ALTITUDE} <= {*variables[each].dims}]
     variable = variables[one_of("a map of each time", name, timed)]
     panels = [
         _panel(maps, name, variable, time[5:16].replace("T", " "), z, time) for time in maps.times
@@ -361,6 +368,15 @@ def _middle_of(values: np.ndarray, variable: Variable) -> str:
         return f"median {median:.3g}{unit}"
     num_decimals = 0 if unit else 2
     return f"mean {values.mean(dtype=np.float64):.{num_decimals}f}{unit}"
+
+
+def _enough_of(values_m: np.ndarray, altitudes_m: Sequence[float]) -> str:
+    """Return over which share of the cells with data each altitude is at or above a height, as a text."""
+    known_m = values_m[~np.isnan(values_m)]
+    shares = [
+        f"{z_m:g} m over {precise_percent(np.mean(known_m <= z_m))}" for z_m in sorted(altitudes_m)
+    ]
+    return f"high enough: {', '.join(shares)} of the area" if known_m.size else "no data"
 
 
 def plot_obstacles(

@@ -18,6 +18,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.base import TIME, TIME_OF_DAY
+from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.registry import ON_REQUEST
 from jaxurban.metrics.variables import AUXILIARY_VARIABLES
 from jaxurban.paths.closed import OBSTACLE, causes_at, constraints_of
@@ -554,7 +555,8 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> Figures:
             figures[name] = partial(plot_paths, maps, (), time_of_day=time_of_day)
 
     # Further variables: statistics of a long series, and all those of metrics that are made on request only.
-    on_request = {name for name, metric in maps.metrics.items() if metric.section in ON_REQUEST}
+    held = held_metrics(maps.ds, costs_only=False)
+    on_request = {name for name, metric in held.items() if metric.section in ON_REQUEST}
     for name, variable in drawn_variables(maps).items():
         has_statistics = maps.variable(variable.of) != variable.of  # such as a median instead of m
         is_statistic = has_statistics and name.endswith(("_availability", "_p05"))
