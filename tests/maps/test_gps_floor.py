@@ -275,7 +275,7 @@ def test_a_picture_says_over_which_share_an_altitude_is_high_enough(maps):
     figure = plot_metric(maps, "gps_floor")
     words = " ".join(text.get_text() for text in figure.findobj(Text))
     share = precise_percent((maps.m("gps_floor") <= 20).mean())
-    assert f"high enough: 20 m over {share} of the area" in words
+    assert f"good GPS: at 20 m over {share} of the area, roofs included" in words
     assert "stays at or below 6" in words.replace("\n", " ")
     assert "without reflections" in words.replace("\n", " ")
     assert {"gps_floor", "gps"} <= {*maps_figures(maps, [])}

@@ -374,9 +374,12 @@ def _enough_of(values_m: np.ndarray, altitudes_m: Sequence[float]) -> str:
     """Return over which share of the cells with data each altitude is at or above a height, as a text."""
     known_m = values_m[~np.isnan(values_m)]
     shares = [
-        f"{z_m:g} m over {precise_percent(np.mean(known_m <= z_m))}" for z_m in sorted(altitudes_m)
+        f"at {z_m:g} m over {precise_percent(np.mean(known_m <= z_m))}"
+        for z_m in sorted(altitudes_m)
     ]
-    return f"high enough: {', '.join(shares)} of the area" if known_m.size else "no data"
+    return (
+        f"good GPS: {', '.join(shares)} of the area, roofs included" if known_m.size else "no data"
+    )
 
 
 def plot_obstacles(
