@@ -27,6 +27,7 @@ from jaxurban.cli.common import (
     Point,
     print_json,
 )
+from jaxurban.cli.options import command
 from jaxurban.exit_codes import ExitCode
 from jaxurban.knowledge import Caution
 from jaxurban.progress import LOG
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": ExitCode.NOT_JUDGED}
 
 
-@click.command()
+@command()
 @FOLDER
 @click.argument("mission", metavar="MISSION", type=GIVEN)
 @click.option(

@@ -7,12 +7,19 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
 
+from jaxurban.cli.options import (
+    DependentOption,
+    Names,
+    Numbers,
+    grouped_options,
+    options_together,
+)
 from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
@@ -44,41 +51,6 @@ class RouteOptions(TypedDict):
     cost_model: "CostKind | None"
     constraints: "Constraints"
     preset: "Preset"
-
-
-class Numbers(click.ParamType):
-    """Numbers with commas between them.
-
-    Args:
-      name: of the type, in the help.
-      example: ends the sentence on other values: ``'x' must be EXAMPLE``.
-      count: how many numbers there must be; 0: any number of them.
-    """
-
-    def __init__(self, name: str, example: str, count: int = 0) -> None:
-        self.name, self.example, self.count = name, example, count
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...]:
-        """Return the numbers in a text.
-
-        Args:
-          value: the text; a default, which is a tuple of numbers already, comes back unchanged.
-          param, ctx: of the option, for the error.
-
-        Raises:
-          BadParameter: something that is no number, or another count of numbers.
-        """
-        if isinstance(value, tuple):
-            return value
-        try:
-            numbers = tuple(float(part) for part in str(value).split(","))
-        except ValueError:
-            numbers = ()
-        if not numbers or len(numbers) != (self.count or len(numbers)):
-            self.fail(f"{value!r} must be {self.example}", param, ctx)
-        return numbers
 
 
 class NamedPath(click.Path):
@@ -184,17 +156,6 @@ def check_route(
 PATH, GIVEN, MAPS_PATH = NamedPath(), NamedPath(check_given), NamedPath(stored_maps)
 
 
-def options_together(*parameters: Callable) -> Callable[[Callable], Callable]:
-    """Return a decorator that adds options and arguments to a command, which lists them in this order."""
-
-    def add(command: Callable) -> Callable:
-        for parameter in reversed(parameters):  # as decorators that stand one over the other
-            command = parameter(command)
-        return command
-
-    return add
-
-
 def stay_on_cpu() -> None:
     """Let JAX compute on the CPU in a command's own process, before its first use, and in those that it starts."""
     import jax
@@ -226,60 +187,6 @@ def use_device(name: str | None) -> None:
             "--device out"
         )
     LOG.info(f"device: {jax.local_devices()[0].device_kind} ({jax.default_backend()})")
-
-
-def grouped_options(
-    argument: str, make: Callable[..., Any], *options: Callable
-) -> Callable[[Callable], Callable]:
-    """Return a decorator that adds several options to a command, which gets one argument made of their values.
-
-    Args:
-      argument: name of the command's argument.
-      make: returns its value; it takes the values of the options, by their names in Python, all of them annotated.
-      options: the options, in the order of the help.
-    """
-    names = make.__annotations__.keys() - {"return"}
-
-    def add(command: Callable) -> Callable:
-        @wraps(command)
-        def call(**values: Any) -> Any:
-            own_values = {name: values.pop(name) for name in names}
-            values[argument] = make(**own_values)
-            return command(**values)
-
-        return options_together(*options)(call)
-
-    return add
-
-
-class DependentOption(click.Option):
-    """An option that says nothing without another one, its owner.
-
-    Args:
-      owner: the other option, such as ``"--volume"``.
-    """
-
-    def __init__(self, *args: Any, owner: str, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.owner = owner
-
-    def handle_parse_result(
-        self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
-    ) -> tuple[Any, list[str]]:
-        """Return the value and what is left to parse, as for any option.
-
-        Args:
-          ctx: of the command, whose parameters include the owner.
-          opts: values of the options that are given, by their names in Python.
-          args: what is left to parse.
-
-        Raises:
-          UsageError: the option is given, and its owner is not.
-        """
-        owner = next(param for param in ctx.command.params if self.owner in param.opts)
-        if self.name in opts and owner.name not in opts:
-            raise click.UsageError(f"{self.opts[0]} belongs to {self.owner}: add that")
-        return super().handle_parse_result(ctx, opts, args)
 
 
 def weights_in(ctx: click.Context, param: click.Parameter, text: str) -> dict[str, float]:
@@ -555,14 +462,7 @@ SOURCES = click.option(
 JSON_FLAG = FLAG("--json", "as_json", help="Print one machine-readable object on stdout.")
 
 
-def names_given(
-    ctx: click.Context, param: click.Parameter, text: str | None
-) -> tuple[str, ...] | None:
-    """Return the names in ``"gps,risk"``; None where an option without a default is left out."""
-    return None if text is None else tuple(filter(None, map(str.strip, text.split(","))))
-
-
-NAMES = partial(click.option, default="", callback=names_given)
+NAMES = partial(click.option, type=Names(), default=())
 
 
 def all_cores() -> int:

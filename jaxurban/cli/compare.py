@@ -15,7 +15,6 @@ from jaxurban.cli.common import (
     JSON_FLAG,
     MAPS,
     MAPS_PATH,
-    NAMES,
     OUTPUT,
     OVERWRITE,
     SCENARIO,
@@ -26,9 +25,11 @@ from jaxurban.cli.common import (
     print_json,
     run_study,
 )
+from jaxurban.cli.options import command, options_of
+from jaxurban.studies.receiver.settings import ReceiverSettings
 
 
-@click.command()
+@command()
 @click.argument("folder_a", metavar="DIR_A", type=MAPS_PATH)
 @click.argument("folder_b", metavar="DIR_B", type=MAPS_PATH)
 @OUTPUT
@@ -82,15 +83,7 @@ def _places_of(output: Path) -> Settings:
     return {"folder": str(output), "report": str(output / "report.md")}
 
 
-def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str | float:
-    """Return metres as a number, all else as it is."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
-@click.command()
+@command()
 @SCENARIO
 @click.argument("log_file", metavar="[LOG]", type=GIVEN, required=False)
 @OUTPUT
@@ -103,28 +96,7 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
     "--reference", type=GIVEN, help="Table of the antenna's places, for a receiver's own log."
 )
 @CHANGES
-@SHOWN(
-    "--antenna-height",
-    "antenna_height_m",
-    default=2.0,
-    help="Height of the antenna above the ground, metres.",
-)
-@SHOWN("--sky-step", "sky_step_s", default=30.0, help="Seconds for which one sky is used.")
-@SHOWN(
-    "--block",
-    "block_m",
-    default=50.0,
-    help="Length of the blocks of track that intervals draw, metres.",
-)
-@SHOWN(
-    "--known",
-    callback=number_or_text,
-    default="city",
-    metavar="city|all|M|FILE",
-    help="Where buildings are known: what their file covers, everywhere, so many metres around the track, or polygons.",
-)
-@NAMES("--systems", help="Letters of the satellite systems to take, as G,E.")
-@SEED
+@options_of(ReceiverSettings)
 @OVERWRITE
 @DEVICE
 @JSON_FLAG
@@ -135,9 +107,9 @@ def validate_command(
     navigation: Path | None,
     reference: Path | None,
     changes: tuple[str, ...],
+    settings: ReceiverSettings,
     overwrite: bool,
     as_json: bool,
-    **settings: Any,
 ) -> None:
     """Say which satellites of a receiver's log a city hides.
 
@@ -148,9 +120,7 @@ def validate_command(
     Left out, it is that of the sample city which SCENARIO names.
     """
     from jaxurban.maps.scenario import Scenario
-    from jaxurban.studies.receiver.settings import ReceiverSettings
 
-    receiver = ReceiverSettings(**settings)  # all other options are its fields
     scenario = Scenario.from_toml(scenario_file, changes)
     import pandas as pd
 
@@ -164,7 +134,7 @@ def validate_command(
             validate,
             scenario,
             log_file,
-            receiver,
+            settings,
             navigation=navigation,
             reference=reference,
         ),

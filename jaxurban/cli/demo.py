@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-import click
-
 from jaxurban.cli.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, SHOWN, print_json
+from jaxurban.cli.options import command
 from jaxurban.progress import LOG, reporting
 
 CITY = "sample:lower-manhattan"
@@ -18,7 +17,7 @@ SCENARIO_FILE, PATHS_FOLDER, TABLE_FILE = "scenario.toml", "paths", "paths/paths
 COLUMNS = "altitude_m", "settings.time_of_day", "planner", "status", "cost", "length_m", "elapsed_s"
 
 
-@click.command()
+@command()
 @SHOWN("-o", "folder", type=PATH, default=Path("out/demo"))
 @OVERWRITE
 @DEVICE

@@ -17,9 +17,10 @@ from jaxurban.cli.common import (
     print_json,
     write_outputs,
 )
+from jaxurban.cli.options import command
 
 
-@click.command()
+@command()
 @FOLDER
 @click.option("--home", type=LONLAT, required=True, help="Home: longitude,latitude in degrees.")
 @CLEARANCES

@@ -19,15 +19,14 @@ from jaxurban.cli.common import (
     NUMBER,
     PATH,
     ROUTE,
-    DependentOption,
     MapsOf,
     RouteOptions,
     Settings,
     check_route,
-    grouped_options,
     print_json,
     write_outputs,
 )
+from jaxurban.cli.options import DependentOption, command, grouped_options
 from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
 from jaxurban.paths.export.suffixes import FLOWN, MISSION, check_picture, check_route_file
@@ -137,7 +136,7 @@ class RouteFiles(NamedTuple):
         return {file.suffix.lower() for file in self.files}
 
 
-@click.command()
+@command()
 @ROUTE
 @click.option(
     "--planner",

@@ -23,18 +23,16 @@ from jaxurban.cli.common import (
     SEED,
     SHOWN,
     WORKERS,
-    DependentOption,
     MapsOf,
-    Numbers,
     Point,
     RouteOptions,
     Settings,
     all_cores,
-    options_together,
     outcome_of,
     print_json,
     run_study,
 )
+from jaxurban.cli.options import DependentOption, Numbers, command, options_together
 from jaxurban.progress import LOG
 
 NO_ROUTE = "no route was found, so that nothing can be said: the report says why"
@@ -59,7 +57,7 @@ WEIGHT_RANGES = options_together(
 DRAWN_ROUTES = 30  # in each folder of maps
 
 
-@click.command()
+@command()
 @ROUTE
 @SHOWN("--samples", "num_samples", default=128, help="Sobol samples; a power of two.")
 @NAMES(
@@ -156,7 +154,7 @@ def sensitivity_command(
     return 0
 
 
-@click.command()
+@command()
 @click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=MAPS_PATH)
 @click.option(
     "--routes",

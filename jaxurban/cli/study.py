@@ -22,6 +22,7 @@ from jaxurban.cli.common import (
     outcome_of,
     print_json,
 )
+from jaxurban.cli.options import command
 from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 NO_ROUTE = "no planner found a path for any instance: the report says why"
 
 
-@click.command()
+@command()
 @SCENARIO
 @click.option("-o", "folder", type=PATH, required=True, help="Folder of the maps and the study.")
 @click.option(

@@ -24,9 +24,9 @@ from jaxurban.cli.common import (
     SEED,
     MapsOf,
     Settings,
-    grouped_options,
     print_json,
 )
+from jaxurban.cli.options import command, grouped_options
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Fits(TypedDict):
     by_city: bool | None
 
 
-@click.command()
+@command()
 @click.argument("words", metavar="DIR [ROUTES]...", type=GIVEN, nargs=-1, required=True)
 @OUTPUT
 @click.option(
