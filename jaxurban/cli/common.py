@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
@@ -14,9 +13,9 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 import click
 
 from jaxurban.cli.options import (
-    DependentOption,
     Names,
     Numbers,
+    Values,
     grouped_options,
     options_together,
 )
@@ -27,30 +26,20 @@ from jaxurban.io.stored import stored_maps
 from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.export.suffixes import PICTURES
 from jaxurban.progress import LOG, reporting
+from jaxurban.settings import CLEARANCES, ObstacleRule, Planning, Preset
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from jaxurban.io.results import Result
     from jaxurban.paths.constraints import Constraints
-    from jaxurban.paths.route_report import OverflownDensity
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.write import Output
-    from jaxurban.settings import CostKind, ObstacleRule, Preset, UnknownHeights
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
 Point = tuple[float, float]  # of LONLAT
-MapsOf = Callable[[Path], "MapsFolder"]  # the maps of a folder, not opened yet
-
-
-class RouteOptions(TypedDict):
-    """What routes are planned under, as keywords of `jaxurban.cost_map` and the like."""
-
-    weights: dict[str, float]
-    cost_model: "CostKind | None"
-    constraints: "Constraints"
-    preset: "Preset"
+MapsOf = Callable[..., "MapsFolder"]  # the maps of a folder, not opened yet
 
 
 class NamedPath(click.Path):
@@ -198,10 +187,10 @@ def weights_in(ctx: click.Context, param: click.Parameter, text: str) -> dict[st
     return Weights.named_in(text)
 
 
-def folders_of(resolution_m: float | None, obstacles: "ObstacleRule | None") -> MapsOf:
-    """Return a function of a folder that returns its maps, not opened yet, as the options of `MAPS` choose them."""
+def folders_of(resolution_m: float | None) -> MapsOf:
+    """Return a function of a folder, and of the rule of obstacles, that returns the folder's maps, not opened yet."""
 
-    def maps_of(folder: Path) -> "MapsFolder":
+    def maps_of(folder: Path, obstacles: ObstacleRule | None = None) -> "MapsFolder":
         """Return the maps of a folder; whoever wants them is about to compute."""
         from jaxurban.paths.rows import MapsFolder
 
@@ -210,62 +199,56 @@ def folders_of(resolution_m: float | None, obstacles: "ObstacleRule | None") -> 
     return maps_of
 
 
-def limits_of(
-    no_fly: tuple[Path, ...],
-    require: tuple[str, ...],
-    clearance_m: float | None,
-    vertical_clearance_m: float | None,
+def constraints_of(
+    no_fly: tuple[Path, ...], require: tuple[str, ...], rules: Settings | None = None
 ) -> "Constraints":
-    """Return the constraints that the options of `LIMITS` ask for.
+    """Return the constraints that options ask for; what is left out is as the scenario has it.
 
     Args:
       no_fly: files of zones that no path enters.
       require: bounds such as ``"gps>=0.3"``.
-      clearance_m: least distance from buildings; None: that of the scenario.
-      vertical_clearance_m: least height over roofs; None: that of the scenario.
+      rules: further arguments of `Constraints.read`.
 
     Raises:
       InputError: a file or a bound that cannot be read, or an invalid clearance.
     """
     from jaxurban.paths.constraints import Constraints
 
-    return Constraints.read(
-        no_fly, require, clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m
-    )
+    return Constraints.read(no_fly, require, **(rules or {}))
 
 
-def constraints_given(
-    constraints: "Constraints", unknown_heights: "UnknownHeights | None"
-) -> "Constraints":
-    """Return the constraints that the options of `CONSTRAINTS` ask for, which are `LIMITS` and the rule of heights."""
-    return replace(constraints, unknown_heights=unknown_heights)
-
-
-def density_beneath(
-    corridor_m: float | None,
-    contingency_m: float,
-    ground_buffer_m: float | None,
-    density_cell_m: float,
-) -> "Callable[..., OverflownDensity] | None":
-    """Return a function of maps and a path that computes the density of people beneath the path's corridor.
+def rules_of(
+    preset: Preset, no_fly: tuple[Path, ...], require: tuple[str, ...], rules: Settings
+) -> Settings:
+    """Return under what routes are planned: keywords of `jaxurban.cost_map`, and ``obstacles``, which are the maps'.
 
     Args:
-      corridor_m: half-width of the corridor; None: there is none, and None comes back.
-      contingency_m: width of the contingency volume on each side.
-      ground_buffer_m: width of the ground risk buffer; None: the flight's height.
-      density_cell_m: side of the cells over which the mean is taken.
+      preset: decides what is left out here and in the scenario.
+      no_fly, require: as of `constraints_of`.
+      rules: what ``--rules`` gives.
     """
-    if corridor_m is None:
-        return None
-    from jaxurban.paths.ground_risk import overflown_density
+    return {
+        "preset": preset,
+        "cost_model": rules.pop("cost_model", None),
+        "obstacles": rules.pop("obstacles", None),
+        "constraints": constraints_of(no_fly, require, rules),
+    }
 
-    return partial(
-        overflown_density,
-        half_width_m=corridor_m,
-        contingency_m=contingency_m,
-        buffer_m=ground_buffer_m,
-        cell_m=density_cell_m,
-    )
+
+class Corridor(TypedDict):
+    """The corridor of a flight beneath which the density of people is taken (`jaxurban.overflown_density`).
+
+    Attributes:
+      half_width_m: width of the volume that is flown in, to each side.
+      contingency_m: width of the contingency volume around it, else 0.
+      buffer_m: width of the ground risk buffer around both, else the flight's height (1:1 rule).
+      cell_m: side of the cells of the mean, else 200; 100 and 500 are reported too.
+    """
+
+    half_width_m: float
+    contingency_m: float
+    buffer_m: float
+    cell_m: float
 
 
 def workers_of(workers: int | None, cluster: str | None) -> int | str | None:
@@ -287,7 +270,6 @@ SHOWN = partial(click.option, show_default=True)  # its default, in the help
 NUMBER = partial(click.option, type=float)
 METRES = partial(NUMBER, metavar="METRES")
 FLAG = partial(click.option, is_flag=True)
-OF_CORRIDOR = partial(METRES, cls=DependentOption, owner="--corridor")
 FOLDER = click.argument("folder", metavar="DIR", type=MAPS_PATH, is_eager=True)
 SCENARIO = click.argument("scenario_file", metavar="SCENARIO", type=GIVEN)
 FILES = partial(click.option, "-o", "files", type=PATH, multiple=True)
@@ -313,29 +295,7 @@ RESOLUTION = NUMBER(
     "resolution_m",
     help="Cell size of the maps in metres; needed where DIR holds several.",
 )
-MAPS = grouped_options(
-    "maps_of",
-    folders_of,
-    RESOLUTION,
-    click.option(
-        "--obstacles",
-        type=click.Choice(["touched", "centre"]),
-        help="Cells that no path enters: all that a building touches, or (the paper) those whose centre it "
-        "covers; paths may then cut true outlines.  [default: the scenario's, else touched]",
-    ),
-)
-CLEARANCES = options_together(
-    METRES(
-        "--clearance",
-        "clearance_m",
-        help="Least distance from buildings that reach the path's altitude.  [default: the scenario's, else 0]",
-    ),
-    METRES(
-        "--vertical-clearance",
-        "vertical_clearance_m",
-        help="Least height over roofs; a path goes around higher ones.  [default: the scenario's, else 3]",
-    ),
-)
+MAPS = grouped_options("maps_of", folders_of, RESOLUTION)
 CEILING = SHOWN(
     "--ceiling",
     "ceiling_m",
@@ -343,9 +303,7 @@ CEILING = SHOWN(
     metavar="METRES",
     help="Greatest height of a return, above the ground at home; legs are not held against it.",
 )
-LIMITS = grouped_options(
-    "constraints",
-    limits_of,
+ZONES = options_together(
     click.option(
         "--no-fly",
         type=GIVEN,
@@ -357,23 +315,10 @@ LIMITS = grouped_options(
         multiple=True,
         help="Bound that every cell of a path must keep, such as gps>=0.3; repeatable.",
     ),
-    CLEARANCES,
 )
-CONSTRAINTS = grouped_options(
-    "constraints",
-    constraints_given,
-    LIMITS,
-    click.option(
-        "--unknown-heights",
-        type=click.Choice(["guess", "likely", "highest"]),
-        help="How high roofs of unknown height count: their bound, what 99 % of their kind keep below, or the maps' "
-        "guess.  [default: the scenario's, else likely, but highest for files to be flown]",
-    ),
-)
-COST_MODEL = click.option(
-    "--cost-model",
-    type=click.Choice(["cell", "line"]),
-    help="Cost model; cell is the paper's.  [default: the scenario's]",
+RULE_VALUES = partial(click.option, "--rules", default="")
+KEPT_CLEAR = RULE_VALUES(
+    type=Values(Planning, CLEARANCES), help="Distances to keep, else the scenario's."
 )
 PRESET = click.option(
     "--preset",
@@ -388,7 +333,16 @@ WEIGHTS = click.option(
     callback=weights_in,
     help="Weights such as gps=1,risk=2; others keep their values.",
 )
-RULES = grouped_options("rules", RouteOptions, PRESET, COST_MODEL, WEIGHTS, CONSTRAINTS)
+RULES = grouped_options(
+    "rules",
+    rules_of,
+    PRESET,
+    ZONES,
+    RULE_VALUES(
+        type=Values(Planning, (*CLEARANCES, "unknown_heights", "obstacles", "cost_model")),
+        help="What routes keep, else the scenario's.",
+    ),
+)
 TIME_OF_DAY = click.option(
     "--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"
 )
@@ -406,6 +360,7 @@ ROUTE = options_together(  # a route over maps
     TIME_OF_DAY,
     click.option("--time", help="Time of the GPS map, UTC.  [default: the first]"),
     MAPS,
+    WEIGHTS,
     RULES,
     NUMBER(
         "--snap",
@@ -416,31 +371,10 @@ ROUTE = options_together(  # a route over maps
         help="Move a start or goal that is not free to the nearest free cell, by at most 50 m or METRES.",
     ),
 )
-CORRIDOR = grouped_options(
-    "corridor",
-    density_beneath,
-    METRES(
-        "--corridor",
-        "corridor_m",
-        help="Report the density of people beneath a corridor of this half-width, for a ground risk assessment.",
-    ),
-    OF_CORRIDOR(
-        "--contingency",
-        "contingency_m",
-        default=0.0,
-        help="With --corridor: the contingency volume beside it.  [default: 0]",
-    ),
-    OF_CORRIDOR(
-        "--ground-buffer",
-        "ground_buffer_m",
-        help="With --corridor: the ground risk buffer.  [default: the flight's height (1:1 rule)]",
-    ),
-    OF_CORRIDOR(
-        "--density-cell",
-        "density_cell_m",
-        default=200.0,
-        help="With --corridor: side of the cells of the mean.  [default: 200; 100 and 500 are printed too]",
-    ),
+CORRIDOR = click.option(
+    "--corridor",
+    type=Values(Corridor),
+    help="Report the density of people beneath a corridor, for a ground risk assessment.",
 )
 WORKERS = grouped_options(
     "workers",

@@ -250,7 +250,8 @@ def _named_in(sentence: str, arguments: Sequence[str]) -> str:
     passed = {argument.partition("=")[0] for argument in arguments}
     for param in _command_in(arguments).params:
         is_passed = isinstance(param, click.Argument) or not passed.isdisjoint(param.opts)
-        if param.name == first_word and is_passed:
+        names = (param.name, *getattr(param.type, "names", ()))  # of an option, and of its values
+        if first_word in names and is_passed:
             return _name_of(param)
 
     # A setting, as in "file: gps: mask_deg must be ...", or else an option that the user gave.

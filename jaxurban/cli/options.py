@@ -20,7 +20,7 @@ ONE = {float: click.FLOAT, int: click.INT, bool: click.BOOL, str: click.STRING}
 # Sections of the help for options that several commands have; the others stand before them.
 SECTIONS = {
     "Maps": ("resolution_m", "time", "times", "time_of_day", "sources", "changes"),
-    "Rules of the route": ("preset", "weights", "kept", "no_fly", "require"),
+    "Rules of the route": ("preset", "weights", "rules", "no_fly", "require"),
     "Output": ("output", "files", "overwrite", "as_json"),
     "Machine": ("workers", "cluster", "device", "seed"),
 }
@@ -32,11 +32,14 @@ class Command(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options into a help text."""
         section_of = {name: title for title, names in SECTIONS.items() for name in names}
-        rows = defaultdict(list)
+        rows: dict[str, list[tuple[str, str]]] = defaultdict(list)
         for param in self.get_params(ctx):
             row = param.get_help_record(ctx)
             if row is not None and isinstance(param, click.Option):
-                rows[section_of.get(str(param.name), "Options")].append(row)
+                section = rows[section_of.get(str(param.name), "Options")]
+                section.append(row)
+                if isinstance(param.type, Values):
+                    section += param.type.rows
         for title in ("Options", *SECTIONS):
             if rows[title]:
                 with formatter.section(title):
@@ -82,14 +85,14 @@ class Numbers(click.ParamType):
 
 
 class Names(click.ParamType):
-    """Names with commas between them."""
+    """Names with commas between them; a default, which is a tuple already, comes back unchanged."""
 
     name = "name,..."
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[str, ...]:
-        """Return the names in a text; a default, which is a tuple already, comes back unchanged."""
+        """Return the names in a text."""
         if isinstance(value, tuple):
             return value
         return tuple(filter(None, map(str.strip, value.split(","))))
@@ -111,39 +114,49 @@ class NumberOrText(click.ParamType):
 
 
 class Values(click.ParamType):
-    """``NAME=VALUE,...``: the arguments of a function or a class, whose result is the option's value.
+    """``NAME=VALUE,...``: values by their names, which are those of a class's fields; the help lists them below it.
 
-    A value without a name is that of the first argument.
+    A value without a name is that of the first one.
 
     Args:
-      make: takes the arguments, all of them annotated, each with a default of its own.
+      settings: a class with annotated fields, each with a line in the docstring.
+      names: of the fields; none: all of them.
     """
 
     name = "NAME=VALUE,..."
 
-    def __init__(self, make: Callable[..., Any]) -> None:
-        self.make = make
-        self.hints = {name: hint for name, hint in make.__annotations__.items() if name != "return"}
+    def __init__(self, settings: type, names: Sequence[str] = ()) -> None:
+        self.hints = get_type_hints(settings)
+        self.texts = texts_of(settings)
+        self.names = names or tuple(self.hints)
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return what is made of the values in a text.
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Rows of the help below the option's own: each name, and what it means."""
+        return [(f"  {name}=", self.texts[name]) for name in self.names]
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> dict[str, Any]:
+        """Return the values in a text by their names.
+
+        Args:
+          value: the text; an empty one holds none.
+          param, ctx: of the option, for the error.
 
         Raises:
           BadParameter: a name twice, or a value of another kind.
-          InputError: a name that is no argument, or what ``make`` refuses.
+          InputError: a name that is no field.
         """
+        said = f"a name in {param.opts[0]}" if param else "a name"
         values: dict[str, Any] = {}
         for part in filter(None, value.split(",")):
-            name, _, text = part.rpartition("=")
-            name = one_of(self._called(param), name.strip() or next(iter(self.hints)), self.hints)
+            given, _, text = part.rpartition("=")
+            name = one_of(said, given.strip() or self.names[0], self.names)
             if name in values:
-                self.fail(f"it names {name} twice: give one value for it", param, ctx)
+                self.fail(f"{name} stands twice: give it one value", param, ctx)
             values[name] = type_of(self.hints[name]).convert(text.strip(), param, ctx)
-        return self.make(**values)
-
-    @staticmethod
-    def _called(param: click.Parameter | None) -> str:
-        return "an option" if param is None else f"a name of {param.opts[0]}"
+        return values
 
 
 class DependentOption(click.Option):
@@ -195,16 +208,15 @@ def type_of(hint: Any) -> Any:
     return Numbers("NUMBER,...", "numbers with commas between them", count)
 
 
-def texts_of(described: Callable[..., Any]) -> dict[str, str]:
-    """Return what a docstring says of each attribute of a class, or argument of a function, by name."""
-    section = re.search(
-        r"^(?:Args|Attributes):\n(.*?)(?:\n\n|\Z)", inspect.getdoc(described) or "", re.M | re.S
-    )
-    entries = section[1] if section else ""
+def texts_of(settings: type) -> dict[str, str]:
+    """Return what the docstrings of a class and of those that it inherits from say of each attribute, by name."""
     texts: dict[str, str] = {}
-    for names, text in re.findall(r"^  (\w[\w, ]*): (.*(?:\n    .*)*)", entries, re.M):
-        sentence = " ".join(re.sub('``|"', "", text).split())
-        texts |= dict.fromkeys(names.split(", "), sentence[0].upper() + sentence[1:])
+    for each in reversed(settings.__mro__):
+        _, _, attributes = inspect.cleandoc(each.__doc__ or "").partition("Attributes:\n")
+        entries = attributes.partition("\n\n")[0]
+        for names, text in re.findall(r"^  (\w[\w, ]*): (.*(?:\n    .*)*)", entries, re.M):
+            plain = " ".join(re.sub(r' \(`[\w.]+`\)|``|"', "", text).split())
+            texts |= dict.fromkeys(names.split(", "), plain)
     return texts
 
 
@@ -267,6 +279,7 @@ def options_of(
     options = []
     for item in chosen:
         name = re.sub(r"^(num|has|is)_|_(m|s|m_s|deg|w)$", "", item.name).replace("_", "-")
+        text = texts.get(item.name, "")
         is_flag = hints[item.name] is bool
         option = click.option(
             spelled.get(item.name, f"--{name}"),
@@ -276,7 +289,7 @@ def options_of(
             default=item.default,
             show_default=not is_flag and item.default not in (None, ()),
             metavar=unit_of_argument(item.name).upper() or None,
-            help=texts.get(item.name),
+            help=f"{text[:1].upper()}{text[1:]}",
         )
         options.append(option)
     names = [item.name for item in chosen]

@@ -22,10 +22,10 @@ from jaxurban.cli.common import (
     RULES,
     SEED,
     SHOWN,
+    WEIGHTS,
     WORKERS,
     MapsOf,
     Point,
-    RouteOptions,
     Settings,
     all_cores,
     outcome_of,
@@ -89,7 +89,8 @@ def sensitivity_command(
     time: str | None,
     time_of_day: str | None,
     maps_of: MapsOf,
-    rules: RouteOptions,
+    weights: dict[str, float],
+    rules: Settings,
     snap: bool | float,
     buildings: bool,
     scenario: Path | None,
@@ -113,9 +114,15 @@ def sensitivity_command(
     settings = SensitivitySettings(**options)  # all other options are its fields
 
     # The maps and the route; without a route there is nothing to study.
-    maps = maps_of(folder).open()
+    maps = maps_of(folder, rules.pop("obstacles")).open()
     costs = cost_map(
-        maps, altitude_m, objective="weighted", time=time, time_of_day=time_of_day, **rules
+        maps,
+        altitude_m,
+        objective="weighted",
+        time=time,
+        time_of_day=time_of_day,
+        weights=weights,
+        **rules,
     )
     costs.maps.check_altitude(altitude_m)  # whose map its figures show
     first = costs.plan(start, goal, snap=snap)
@@ -172,6 +179,7 @@ def sensitivity_command(
     "--queries", type=GIVEN, help="Table of routes to study instead of drawn ones (.csv, .parquet)."
 )
 @MAPS
+@WEIGHTS
 @RULES
 @SHOWN("--wrong", default=2.0, help="Factor by which a wrong weight is off, for its regret.")
 @SHOWN("--samples", "num_samples", default=32, help="Sobol samples of each route; a power of two.")
@@ -201,6 +209,7 @@ def sensitivity_study_command(
     altitudes_m: tuple[float, ...] | None,
     queries: Path | None,
     maps_of: MapsOf,
+    weights: dict[str, float],
     rules: Settings,
     scenario: Path | None,
     workers: int | str | None,
@@ -230,12 +239,12 @@ def sensitivity_study_command(
             raise click.UsageError("--scenario belongs to --heights or --parameters of one DIR")
         scenarios = {folders[0].resolve().name: scenario_of(folders[0], scenario.parent)}
 
-    # All further options and rules are fields of the settings, but for the weights, which belong to the routes.
-    weights = rules.pop("weights")
+    # All further options and rules are fields of the settings, but for the obstacles, which belong to the maps.
+    obstacles = rules.pop("obstacles")
     settings = SensitivityStudySettings(**options, **rules)
     routes = num_routes or DRAWN_ROUTES
     result = sensitivity_study(
-        [maps_of(folder) for folder in folders],
+        [maps_of(folder, obstacles) for folder in folders],
         output,
         routes if queries is None else read_table(queries, "queries"),
         altitudes_m=altitudes_m,

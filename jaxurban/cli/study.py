@@ -7,7 +7,6 @@ import click
 
 from jaxurban.cli.common import (
     CHANGES,
-    CONSTRAINTS,
     DEVICE,
     GIVEN,
     JSON_FLAG,
@@ -17,12 +16,14 @@ from jaxurban.cli.common import (
     PRESET,
     SCENARIO,
     WORKERS,
+    ZONES,
     Settings,
     all_cores,
+    constraints_of,
     outcome_of,
     print_json,
 )
-from jaxurban.cli.options import command
+from jaxurban.cli.options import command, grouped_options
 from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ NO_ROUTE = "no planner found a path for any instance: the report says why"
 )
 @CHANGES
 @PRESET
-@CONSTRAINTS
+@grouped_options("constraints", constraints_of, ZONES, names=("no_fly", "require"))
 @WORKERS
 @OVERWRITE
 @DEVICE

@@ -520,7 +520,7 @@ class CostMap(FactsRepr):
         if self.cost_model.kind == "cell":
             raise InputError(
                 "a budget of exposure is of an integral along the path, which cost_model='cell' does not add up: "
-                "choose cost_model='line' (--cost-model line)"
+                "choose cost_model='line' (--rules cost_model=line)"
             )
         for name in names:
             one_of("exposure", name, self.names)

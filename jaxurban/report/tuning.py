@@ -477,7 +477,7 @@ def weights_toml(fit: WeightFit | TargetFit, cost_map: CostMap) -> str:
         f"# {fit.sentence}",
         "# Weights fitted by `jaxurban tune`; report.md says how sure they are. Paste the table into a scenario.",
         f"# They belong to the cost model {cost_map.cost_model.kind!r}{_where(cost_map)}: plan with",
-        f"#   --cost-model {cost_map.cost_model.kind} --weights {weights_option(fit.weights)}",
+        f"#   --rules cost_model={cost_map.cost_model.kind} --weights {weights_option(fit.weights)}",
         "[weights]",
         *(f"{name} = {value:.6g}" for name, value in fit.weights.to_dict().items()),
     ]

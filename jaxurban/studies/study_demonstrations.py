@@ -142,8 +142,8 @@ def demonstrations_from_study(
         if name != "budget" and before != value:
             raise InputError(
                 f"the study in {source.name!r} was run on other maps or settings than those given: its {name} is "
-                f"{before}, here {value}: give its own (DIR, --resolution, --obstacles, --cost-model, --preset, "
-                "--no-fly, --require, --clearance, --vertical-clearance; maps=, cost_model=, constraints=, preset=)"
+                f"{before}, here {value}: give its own (DIR, --resolution, --preset, --rules, --no-fly, "
+                "--require; maps=, cost_model=, constraints=, preset=)"
             )
     check_instances(source.table, maps)
 

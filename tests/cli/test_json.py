@@ -97,8 +97,8 @@ def test_a_fault_and_an_interrupt_are_objects_too(name, capsys, monkeypatch):
         ("maps town.toml -o out --set gps.mask_deg", "--set"),
         ("sensitivity maps {route} --samples 3", "--samples"),
         ("sensitivity maps {route} --range 2,3", "--range"),
-        ("plan maps {route} --end land", "--end"),
-        ("plan maps {route} --level-step 5", "--level-step"),
+        ("plan maps {route} --mission land", "--mission"),
+        ("plan maps {route} --volume level=5", "--volume"),
     ],
 )
 def test_bad_input_names_the_option_at_fault(words, argument, made, capsys, monkeypatch):
@@ -224,8 +224,8 @@ def test_a_study_of_sensitivity_is_an_object(code, walled, made, tmp_path, capsy
     ("more", "code"),
     [
         ((), ExitCode.DONE),
-        (("--max-people", 0), ExitCode.FINDINGS),
-        (("--max-no-fix", 0), ExitCode.NOT_JUDGED),
+        (("--limits", "max_people=0"), ExitCode.FINDINGS),
+        (("--limits", "max_no_fix_m=0"), ExitCode.NOT_JUDGED),
         (("--time", "2020-04-28T16:00:00Z"), ExitCode.BAD_INPUT),
     ],
 )
@@ -246,7 +246,7 @@ def test_a_sensitivity_and_a_fit_are_objects(made, tmp_path, capsys):
     code, out, err = run(capsys, "sensitivity", made, *ROUTE, *few, "--json")
     assert code == ExitCode.DONE, err
     assert check_json(out, code, "sensitivity")["num_plans"] > 0
-    few = ("--sample", 4, "--bootstrap", 2, "--altitude", 60, "-o", tmp_path / "two")
+    few = ("--sample", 4, "--fit", "bootstrap=2", "--altitude", 60, "-o", tmp_path / "two")
     pilot = "distance=1,gps=1,risk=2"
     code, out, err = run(capsys, "tune", made, *few, "--pilot", pilot, "--json")
     assert code == ExitCode.DONE, err

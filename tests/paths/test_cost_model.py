@@ -293,7 +293,7 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
     ):
         with pytest.raises(
             ju.InputError,
-            match=r"planned under the cost model 'line' .* under 'cell' .*--cost-model",
+            match=r"planned under the cost model 'line' .* under 'cell' .*--rules cost_model",
         ):
             read()
         with pytest.warns(
@@ -343,13 +343,13 @@ def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(
 ):
     model = ju.CostModel("cell", 4.0, 8, "always")
     routes = plans[model, "constraints"].save(tmp_path / "routes.geojson")
-    asked = ("tune", folder, routes, "-o", tmp_path / "fit", "--rounds", 1, "--bootstrap", 0)
+    asked = ("tune", folder, routes, "-o", tmp_path / "fit", "--fit", "max_rounds=1,bootstrap=0")
     code, _, err = run(capsys, *asked, "--no-fly", zone_file, "--require", REQUIRE)
     assert (code, "was planned under" in err) == (0, False), err
     report = (tmp_path / "fit" / "report.md").read_text()
     constraints = "1 no-fly zone, risk>=0.08, vertical clearance of 3 m"
     assert f"| {model} | {constraints} | touched |" in report
-    assert "--cost-model cell" in (tmp_path / "fit" / "weights.toml").read_text()
+    assert "--rules cost_model=cell" in (tmp_path / "fit" / "weights.toml").read_text()
     line = plans[ju.CostModel("line", 4.0), "none"].save(tmp_path / "line.geojson")
     warnings.simplefilter("always")
     code, _, err = run(capsys, *asked, folder, line, "--overwrite")

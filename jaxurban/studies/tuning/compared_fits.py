@@ -170,7 +170,7 @@ def split(city: np.ndarray, group: np.ndarray, share: float, seed: int) -> np.nd
         if num >= len(groups):
             raise InputError(
                 f"the routes of {name!r} join {len(groups)} pair(s) of ends, too few to hold some out: give more "
-                "routes, or a smaller share (--hold-out, hold_out=)"
+                "routes, or a smaller share (hold_out)"
             )
         is_held_out |= np.isin(group, groups[:num])
     return is_held_out

@@ -116,7 +116,7 @@ def open_cities(
         if other != rules[first]:
             raise InputError(
                 f"the scenarios of {first} and {city} give other weights, cost models, clearances or vehicles: name "
-                "them for both (--weights, --cost-model, --clearance, --vertical-clearance), or make them the same"
+                "them for both (--weights, --rules), or make them the same"
             )
     common_settings, common_weights = rules[first]
     resolutions_m = {maps.grid.resolution_m for maps in all_maps.values()}
