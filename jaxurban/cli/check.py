@@ -24,7 +24,7 @@ from jaxurban.cli.common import (
     ZONES,
     Point,
     Settings,
-    constraints_of,
+    constraints_given,
     print_json,
 )
 from jaxurban.cli.options import Values, command, grouped_options
@@ -35,7 +35,7 @@ from jaxurban.progress import LOG
 CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": ExitCode.NOT_JUDGED}
 
 
-class Heights(TypedDict):
+class FileHeights(TypedDict):
     """What heights of a mission are above, where its file leaves it open.
 
     Attributes:
@@ -67,7 +67,7 @@ class Limits(TypedDict):
 @FOLDER
 @click.argument("mission", metavar="MISSION", type=GIVEN)
 @click.option(
-    "--heights", type=Values(Heights), default="", help="What heights of the file are above."
+    "--heights", type=Values(FileHeights), default="", help="What heights of the file are above."
 )
 @click.option("--home", type=LONLAT, help="Home: longitude,latitude in degrees.")
 @METRES(
@@ -75,7 +75,7 @@ class Limits(TypedDict):
     "return_altitude_m",
     help="Height above home at which the autopilot returns.",
 )
-@grouped_options("constraints", constraints_of, ZONES, KEPT_CLEAR)
+@grouped_options("constraints", constraints_given, ZONES, KEPT_CLEAR)
 @click.option(
     "--time",
     "times",

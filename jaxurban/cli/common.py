@@ -199,7 +199,7 @@ def folders_of(resolution_m: float | None) -> MapsOf:
     return maps_of
 
 
-def constraints_of(
+def constraints_given(
     no_fly: tuple[Path, ...], require: tuple[str, ...], rules: Settings | None = None
 ) -> "Constraints":
     """Return the constraints that options ask for; what is left out is as the scenario has it.
@@ -224,14 +224,14 @@ def rules_of(
 
     Args:
       preset: decides what is left out here and in the scenario.
-      no_fly, require: as of `constraints_of`.
+      no_fly, require: as of `constraints_given`.
       rules: what ``--rules`` gives.
     """
     return {
         "preset": preset,
         "cost_model": rules.pop("cost_model", None),
         "obstacles": rules.pop("obstacles", None),
-        "constraints": constraints_of(no_fly, require, rules),
+        "constraints": constraints_given(no_fly, require, rules),
     }
 
 

@@ -44,7 +44,7 @@ NOT_WHEN = (
 ASKED = partial(click.option, is_flag=False, flag_value="", metavar="[NAME=VALUE,...]")  # bare too
 
 
-class Search(TypedDict):
+class SearchOptions(TypedDict):
     """How a path is searched for.
 
     Attributes:
@@ -82,7 +82,7 @@ class Volume(TypedDict):
     descent_cost: float
 
 
-class Flight(TypedDict):
+class FlightOptions(TypedDict):
     """How a route is flown; what is left out is the vehicle's.
 
     Attributes:
@@ -162,7 +162,7 @@ class RouteFiles(NamedTuple):
 
 @command()
 @ROUTE
-@click.option("--planner", type=Values(Search), default="", help="What searches, and how.")
+@click.option("--planner", type=Values(SearchOptions), default="", help="What searches, and how.")
 @FLAG(
     "--refine",
     help="Move the waypoints to lower cost after the search; not under the cost model cell.",
@@ -192,7 +192,7 @@ class RouteFiles(NamedTuple):
 )
 @ASKED(
     "--report",
-    type=Values(Flight),
+    type=Values(FlightOptions),
     help="Report costs, people and clearance, by segment.",
 )
 @CORRIDOR

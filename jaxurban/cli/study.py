@@ -19,7 +19,7 @@ from jaxurban.cli.common import (
     ZONES,
     Settings,
     all_cores,
-    constraints_of,
+    constraints_given,
     outcome_of,
     print_json,
 )
@@ -46,7 +46,7 @@ NO_ROUTE = "no planner found a path for any instance: the report says why"
 )
 @CHANGES
 @PRESET
-@grouped_options("constraints", constraints_of, ZONES, names=("no_fly", "require"))
+@grouped_options("constraints", constraints_given, ZONES, names=("no_fly", "require"))
 @WORKERS
 @OVERWRITE
 @DEVICE
