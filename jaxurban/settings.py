@@ -25,6 +25,7 @@ Preset = Literal["", "paper"]
 UnknownHeights = Literal["guess", "likely", "highest"]
 PlannerName = Literal[
     "ptp",
+    "astar",
     "astar-dist",
     "astar-plus",
     "bitstar-dist",
@@ -356,7 +357,7 @@ class Planning:
 
     Attributes:
       preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance where those are left out.
-      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
+      planner: ``"ptp"``, ``"astar"``, ``"theta-star"`` ...
       cost_model: how steps are costed (`jaxurban.planners.cost.CostModel`); left out: ``"line"``.
       obstacles: where planners may fly (`jaxurban.maps.metric_maps.MetricMaps`); left out: ``"touched"``.
       clearance_m: horizontal distance from buildings as high as the path; left out: 0 m.
@@ -379,7 +380,7 @@ class Planning:
     """
 
     preset: Preset = ""
-    planner: PlannerText = "astar-plus"
+    planner: PlannerText = "astar"
     cost_model: CostKind | None = None
     obstacles: ObstacleRule | None = None
     clearance_m: float | None = None

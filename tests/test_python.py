@@ -42,7 +42,7 @@ def folder(tmp_path_factory):
 
 def test_paths_show_a_few_facts_and_no_arrays(paths):
     for shown, words in (
-        (paths[0], ("PlannedPath", "status: optimal", "astar-plus", "altitude: 20 m", "gps 0.")),
+        (paths[0], ("PlannedPath", "status: optimal", "astar (", "altitude: 20 m", "gps 0.")),
         (paths, ("PlannedPaths", "queries: 3", "optimal 2, bad-input 1", "of 2 paths")),
     ):
         text, html = repr(shown), shown._repr_html_()

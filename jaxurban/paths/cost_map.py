@@ -288,7 +288,7 @@ class CostMap(FactsRepr):
     def prepare(self) -> "CostMap":
         """Return the map with landmarks, for many queries under these weights, each two to three times as fast.
 
-        They guide ``astar-plus`` where a query names no heuristic. Costs are the same; of equally cheap routes another
+        They guide ``astar`` where a query names no heuristic. Costs are the same; of equally cheap routes another
         one may be returned. This map stays as it is.
 
         Returns:

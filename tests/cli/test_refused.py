@@ -37,7 +37,7 @@ REFUSED = [
     ("plan maps --start=-73.999,40.756 --altitude 60", "--goal"),
     (f"{PLAN} 61", "altitude", "from 20 to 60 m"),
     (f"{PLAN} high", "--altitude"),
-    (f"{PLAN} 60 --planner astar", "astar-"),
+    (f"{PLAN} 60 --planner astr", "astar"),
     (f"{PLAN} 60 --weights gsp=1", "did you mean 'gps'"),
     (f"{PLAN} 60 --exposure 'gps>=1'", "--exposure", "population<=120"),
     (f"{PLAN} 60 --exposure 'gps<=1' --exposure 'gps<=2'", "--exposure names a layer twice"),

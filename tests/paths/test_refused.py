@@ -87,7 +87,7 @@ def each(call, values, words):
 
 REFUSED = [
     # what is planned
-    (lambda s: s.plan(planner="astar"), "unknown planner 'astar' .did you mean 'astar-plus'"),
+    (lambda s: s.plan(planner="astr"), "unknown planner 'astr' .did you mean 'astar'"),
     (lambda s: s.plan(planner="theta"), "unknown planner 'theta' .did you mean 'theta-star'"),
     (lambda s: s.plan(objective="fast"), "'weighted', 'distance' or None"),
     (lambda s: s.plan(cost_model="cells"), "CostModel, 'cell', 'line' or None"),
@@ -159,7 +159,7 @@ REFUSED = [
     ),
     (
         lambda s: s.plan(exposure={"gps": 1.0}, planner="theta-star"),
-        "take the planner astar-dist or astar-plus",
+        "take the planner astar or astar-dist or astar-plus",
     ),
     (lambda s: s.plan(exposure={"gps": 1.0}, refine=True), "leave out refine"),
     (lambda s: s.plan(exposure={"gps": 1.0}, cost_model="cell"), "--rules cost_model=line"),
