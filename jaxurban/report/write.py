@@ -238,6 +238,13 @@ def joined_with_and(items: Iterable[str]) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
+def first_lines(lines: Mapping[str, str]) -> Markdown:
+    """Return the lines of a study's conclusion (`Conclusion.facts`) as a list; the last of them is a command."""
+    *sentences, (head, command) = lines.items()
+    texts = [f"**{name.capitalize()}**: {plain(text)}" for name, text in sentences]
+    return bullets(map(Markdown, [*texts, f"**{head.capitalize()}**: {code(command)}"]))
+
+
 def bullets(lines: Iterable[str]) -> Markdown:
     """Return a list, a line each."""
     return Markdown("\n".join(f"- {plain(line)}" for line in lines))
