@@ -26,11 +26,11 @@ from scipy import ndimage, special
 
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.public import FactsRepr
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Clusters
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, NUM_DRAWS, Clusters
 from jaxurban.world.grid import Grid
 
 FEWEST_RUNS = 10  # of a stratum of which something is said
-FOUND_SHARE = 0.8  # of repeated studies of the needed size, which find the effect
+FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effect
 MOST_RUNS = 100_000  # more are called "no number"
 SAME = 1e-9  # relative, and in the unit of the values: what differs by less is equal
 EDGE_CELLS = 3  # a route this near to the border of the data may be what the border made it
@@ -204,7 +204,7 @@ def effects(values: np.ndarray, clusters: Clusters) -> pd.DataFrame:
     size = np.array(
         [np.nanmean(each) if count else np.nan for each, count in zip(values.T, num, strict=True)]
     )
-    drawn = np.array([clusters.drawn(column) for column in values.T]).reshape(len(num), -1)
+    drawn = np.array([clusters.drawn(column) for column in values.T]).reshape(-1, NUM_DRAWS)
     spread = np.array(
         [np.nanstd(each) if count else 0.0 for each, count in zip(drawn, num, strict=True)]
     )
