@@ -89,7 +89,11 @@ class Case:
             half = (np.log1p(pairs.high / 100) - np.log1p(pairs.low / 100)) / 2
         needed = [float(FEWEST_GROUPS)]
         for row, half_width in zip(pairs.itertuples(), half, strict=True):
-            size = max(abs(self._effect(a, b)) for a in row.first.split(" = ") for b in row.second.split(" = "))
+            size = max(
+                abs(self._effect(a, b))
+                for a in row.first.split(" = ")
+                for b in row.second.split(" = ")
+            )
             reach = max(half_width * np.sqrt(NUM_PILOT), 1.0001 * size)  # of a single run
             if size and size == self.smallest:
                 needed.append(runs_needed(size, size - reach, size + reach, 1))

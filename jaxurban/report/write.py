@@ -20,6 +20,7 @@ from jaxurban.io.tables import SUFFIXES, write_table
 from jaxurban.paths.export.suffixes import PICTURES
 
 REPORT_FILE = "report.md"
+DUST = 1e-9  # what a sum of shares or metres leaves by rounding, which is no number
 DPI = 300  # of images, which the IEEE asks of colour
 NUM_COLOURS = 256  # of a PNG
 SAMPLED = 3  # its colours are chosen from every third row and column
@@ -208,11 +209,13 @@ def without_ends(frame: pd.DataFrame) -> list[Any]:
 
 
 def cell(value: Any) -> str:
-    """Return a value of a table: numbers that are not whole with three digits, nothing for no number."""
+    """Return a value of a table: numbers that are not whole with three digits, 0 for dust, nothing for no number."""
     if not isinstance(value, float):
         return value if isinstance(value, str) else str(value)
     if not math.isfinite(value):
         return ""
+    if abs(value) < DUST:
+        return "0"
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 

@@ -40,8 +40,8 @@ SHOWN = 3  # sentences of a line
 class SharedVerdict(Enum):
     """Kinds of verdicts that several studies have; each is a sentence with places for the record's fields."""
 
-    EQUAL = "{what} are equal on all {n}"
-    TIED = "{what} cannot be told apart ({last} over {first}: {size}, {n})"
+    EQUAL = "{what} are equal in {measure} on all {n}"
+    TIED = "{what} cannot be told apart in {measure} ({last} over {first}: {size}, {n})"
     BORDER = (
         "{count:,} of {n} come within {cells} cells of the border of the maps' data, away from their ends: whether the "
         "border made them is not decided by more routes, but by maps of wider bounds"
@@ -142,7 +142,7 @@ def _line(verdicts: Sequence[Verdict]) -> str:
     sentences = [verdict.sentence for verdict in verdicts[:SHOWN]]
     if len(verdicts) > SHOWN:
         sentences.append(f"{len(verdicts) - SHOWN} more in the records")
-    return "; ".join(sentences) + "." if sentences else "Nothing."
+    return ". ".join(sentences) + "." if sentences else "Nothing."
 
 
 def sized(value: float, low: float, high: float, unit: str = "") -> str:
@@ -247,6 +247,7 @@ class Ranking:
     """Alternatives in groups of ranks.
 
     Attributes:
+      measure: what they are compared by.
       names: the alternatives, the best first; those that are equal on all runs stand as one, ``"a = b"``.
       ranks: of each name, from 1; what cannot be told apart shares a rank.
       equal: names of the alternatives that are one, for each such group.
@@ -255,11 +256,25 @@ class Ranking:
       unit: of the sizes.
     """
 
+    measure: str
     names: tuple[str, ...]
     ranks: Mapping[str, int]
     equal: tuple[tuple[str, ...], ...]
     pairs: pd.DataFrame
     unit: str
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row per name: ``measure``, ``rank``, ``name``, and ``behind`` the first one, in ``unit``, of ``n`` groups.
+
+        The ends of the interval are ``behind_low`` and ``behind_high``; the first one has no numbers.
+        """
+        columns = {"size": "behind", "low": "behind_low", "high": "behind_high"}
+        pairs = self.pairs[self.pairs["first"] == self.names[0]].rename(columns=columns)
+        behind = pairs.set_index("second").reindex(self.names)[[*columns.values(), "n"]]
+        ranks = [self.ranks[name] for name in self.names]
+        head = {"measure": self.measure, "rank": ranks, "name": self.names}
+        return pd.DataFrame(head).join(behind.reset_index(drop=True)).assign(unit=self.unit)
 
     def verdicts(self, before: Enum, noun: str, tied: Enum = SharedVerdict.TIED) -> list[Verdict]:
         """Return what the ranks say: who is behind whom, who is equal, and who cannot be told apart.
@@ -275,7 +290,15 @@ class Ranking:
         verdicts = [self._verdict(before, row, noun) for row in behind.itertuples()]
         counts = int(self.pairs.n.max()) if len(self.pairs) else 0
         verdicts += [
-            Verdict(SharedVerdict.EQUAL, names, 0.0, n=counts, noun=noun, needed=math.inf)
+            Verdict(
+                SharedVerdict.EQUAL,
+                names,
+                0.0,
+                n=counts,
+                noun=noun,
+                needed=math.inf,
+                facts={"measure": self.measure},
+            )
             for names in self.equal
         ]
         for names in self._tied():
@@ -288,7 +311,8 @@ class Ranking:
         """Return the record of a pair, of the names ``what`` where there are more than its two."""
         names = tuple(what) or (pair.first, pair.second)
         size = pair.size, pair.low, pair.high
-        return Verdict(kind, names, *size, int(pair.n), self.unit, noun, pair.needed)
+        facts = {"measure": self.measure}
+        return Verdict(kind, names, *size, int(pair.n), self.unit, noun, pair.needed, facts)
 
     def _tied(self) -> Iterator[tuple[str, ...]]:
         """Yield the largest sets of names of which none comes before another, each in the order of the names."""
@@ -323,11 +347,12 @@ def ranked(measures: Mapping[str, Measure], clusters: Clusters) -> dict[str, Ran
     result = {}
     for name, (names, equal, pairs) in parts.items():
         of_measure, table = table[: len(pairs)], table[len(pairs) :]
-        result[name] = _ranking(measures[name], names, equal, pairs, of_measure)
+        result[name] = _ranking(name, measures[name], names, equal, pairs, of_measure)
     return result
 
 
 def _ranking(
+    name: str,
     measure: Measure,
     names: Sequence[str],
     equal: Sequence[tuple[str, ...]],
@@ -337,7 +362,8 @@ def _ranking(
     """Return the groups of ranks by one measure.
 
     Args:
-      measure: which decides the unit.
+      name: of the measure.
+      measure: decides the unit.
       names, equal: as `Ranking` has them.
       pairs: each two of the names.
       of_pairs: a row for each pair, from `effects`; of ratios logarithms.
@@ -354,7 +380,7 @@ def _ranking(
         table[["size", "low", "high"]] = 100 * np.expm1(table[["size", "low", "high"]])
 
     # [A, A] who comes before whom, also by way of others.
-    place = {name: number for number, name in enumerate(names)}
+    place = {each: number for number, each in enumerate(names)}
     first = table["first"].map(place).to_numpy(int)
     second = table.second.map(place).to_numpy(int)
     before = np.zeros((len(names), len(names)), bool)
@@ -362,9 +388,9 @@ def _ranking(
     for middle in range(len(names)):
         before |= before[:, [middle]] & before[[middle], :]
     ranks = dict(zip(names, (1 + before.sum(axis=0)).tolist(), strict=True))
-    order = sorted(names, key=lambda name: (ranks[name], place[name]))
+    order = sorted(names, key=lambda each: (ranks[each], place[each]))
     table = table.assign(is_before=before[first, second] | before[second, first])
-    return Ranking(tuple(order), ranks, tuple(equal), table, measure.unit)
+    return Ranking(name, tuple(order), ranks, tuple(equal), table, measure.unit)
 
 
 def _difference(measure: Measure, first: pd.Series, second: pd.Series) -> np.ndarray:
@@ -392,10 +418,26 @@ def _without_equal(measure: Measure) -> tuple[pd.DataFrame, list[tuple[str, ...]
     return values[order], [tuple(group) for group in groups if len(group) > 1]
 
 
+def next_step(verdicts: Sequence[Verdict], *, more: str, wider: str, done: str) -> str:
+    """Return the command that decides the next thing, or uses what is decided.
+
+    Args:
+      verdicts: of a study.
+      more: of more runs, with a place for ``{needed}``: the fewest that would decide one of the verdicts.
+      wider: of maps of wider bounds, where only they would decide.
+      done: where nothing is left that a study of this kind decides.
+    """
+    needed = [each.needed for each in verdicts if 0 < each.needed < math.inf]
+    if needed:
+        return more.format(needed=int(min(needed)))
+    is_pinned = any(each.kind is SharedVerdict.BORDER for each in verdicts)
+    return wider if is_pinned else done
+
+
 def edge_band(maps: MetricMaps, cells: int = EDGE_CELLS) -> np.ndarray:
     """Return ``[Y, X]`` bool: the cells that so few cells part from the border of the maps or of their data."""
-    inner = ndimage.binary_erosion(maps.ds["has_data"].values, np.ones((3, 3)), iterations=cells)
-    return ~inner
+    has_data = maps.ds["has_data"].values
+    return ~ndimage.minimum_filter(has_data, 2 * cells + 1, mode="constant", cval=False)
 
 
 def is_at_edge(points_m: np.ndarray, grid: Grid, band: np.ndarray, cells: int = EDGE_CELLS) -> bool:
