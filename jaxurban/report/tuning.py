@@ -42,7 +42,8 @@ from jaxurban.studies.queries import maps_of
 from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.study_demonstrations import demonstrations_from_study, study_in
 from jaxurban.studies.tuning.compared_fits import ALL, FitComparison, compare_fits
-from jaxurban.studies.tuning.target_fit import Target, TargetFit, fit_targets
+from jaxurban.studies.tuning.target import Target
+from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.parquet"

@@ -1,7 +1,6 @@
 """Weights fitted to targets: those under which routes meet them, and which targets conflict."""
 
 import itertools
-import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ import optax
 import pandas as pd
 from jaxtyping import Array, Float
 
-from jaxurban.checks import finite, one_of, typed
+from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.programs import kept_jit
@@ -30,6 +29,7 @@ from jaxurban.studies.route_pool import (
 )
 from jaxurban.studies.tuning.confidence import feature_units
 from jaxurban.studies.tuning.fenchel_young import adam
+from jaxurban.studies.tuning.target import MEAN, Target
 
 FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step
 FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first to the last step
@@ -43,74 +43,7 @@ NUM_TRIED, NUM_PROBES = 3, 8  # weights planned for, and searches around the bes
 PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to the farthest
 PATIENCE = 3  # rounds that better nothing
 NUM_AT_ONCE = 64  # candidates judged at once, to bound memory
-MEAN = "mean_"  # of a metric along a route
 MET = 0.02  # a target is met if it is missed by no more than this share
-
-
-@typed
-@dataclass(frozen=True)
-class Target:
-    """A bound on an outcome of routes, averaged over a set of queries.
-
-    Attributes:
-      outcome: ``detour``: mean of length over the shortest route's, less 1. ``mean_gps`` and the like: mean over
-        queries of the mean m along the route. ``people``: sum over queries of the integral of m_population along the
-        route, as a share of the shortest routes'. ``length_m``: mean length.
-      sense: ``">="`` or ``"<="``.
-      value: the bound.
-
-    Raises:
-      InputError: another outcome or sense, or a value that no route reaches or that is no number.
-
-    Examples:
-      >>> str(ju.fit.Target("detour", "<=", 0.15))
-      'detour <= 0.15'
-    """
-
-    outcome: str
-    sense: str
-    value: float
-
-    def __post_init__(self) -> None:
-        """Check outcome, sense and value; ``mean_NAME`` is checked against the maps' metrics by `fit_targets`."""
-        if not self.outcome.startswith(MEAN):
-            one_of(
-                "outcome", self.outcome, ("mean_NAME of a metric", "detour", "length_m", "people")
-            )
-        one_of("the sense of a target", self.sense, (">=", "<="))
-        if not np.isfinite(self.value):
-            raise InputError(f"target {str(self)!r} must end in a finite number")
-        most = 1.0 if self.outcome.startswith(MEAN) else np.inf
-        is_too_high = self.sense == ">=" and self.value > most
-        is_too_low = self.sense == "<=" and self.value < 0
-        if is_too_high or is_too_low:
-            raise InputError(
-                f"target {str(self)!r} cannot be met: {self.outcome} lies between 0 and {most:g}"
-            )
-
-    @classmethod
-    @typed
-    def parse(cls, text: str) -> "Target":
-        """Return the target that a text such as ``"mean_gps>=0.8"`` names.
-
-        Returns:
-          The target; spaces in the text do not count.
-
-        Raises:
-          InputError: another form, or a value that is not a number.
-
-        Examples:
-          >>> ju.fit.Target.parse("mean_gps >= 0.8")
-          Target(outcome='mean_gps', sense='>=', value=0.8)
-        """
-        match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(\S+)\s*", text)
-        if not match:
-            raise InputError(f"target {text!r} must read like mean_gps>=0.8 or detour<=0.15")
-        outcome, sense, number = match.groups()
-        return cls(outcome, sense, finite(f"the bound of target {text!r}", number))
-
-    def __str__(self) -> str:
-        return f"{self.outcome} {self.sense} {self.value:g}"
 
 
 @dataclass(frozen=True, eq=False)
