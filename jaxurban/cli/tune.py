@@ -25,6 +25,7 @@ from jaxurban.cli.common import (
     MapsOf,
     Settings,
     grouped_options,
+    log_lines,
     print_json,
 )
 from jaxurban.progress import LOG
@@ -102,7 +103,7 @@ class Fits(TypedDict):
     ),
     NUMBER(
         "--hold-out",
-        help="Share of the routes that is kept from the fits, to test them.  [default: 0]",
+        help="Share of the routes to keep from the fits, to test them.  [default: 0.25 from 16 routes on]",
     ),
     FLAG("--by-city", default=None, help="Also fit to each city alone, and to all cities but it."),
 )
@@ -140,9 +141,9 @@ def tune_command(
     any, the study that `jaxurban study` kept in DIR. Several DIRs, each with its ROUTES, are fitted together.
     """
     fits = values_given(fits)
-    if wishes and fits:
+    if wishes and fits.keys() - {"hold_out"}:
         raise click.UsageError(
-            "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
+            "--scale, --bootstrap and --by-city belong to fits without --wish: leave them out"
         )
 
     from jaxurban.metrics.weights import Weights
@@ -169,6 +170,7 @@ def tune_command(
     facts = run_tuning(sources, output, settings, overwrite=overwrite)
 
     # What is printed: the message, warnings that it does not hold, and the weights.
+    log_lines(facts["decided"]["lines"])
     LOG.info(facts["message"])
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
         if warning != facts["message"]:

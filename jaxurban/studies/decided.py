@@ -34,6 +34,10 @@ FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effe
 MOST_RUNS = 100_000  # more are called "no number"
 SAME = 1e-9  # relative, and in the unit of the values: what differs by less is equal
 EDGE_CELLS = 3  # a route this near to the border of the data may be what the border made it
+USUAL_SHARE, FEWEST_TO_HOLD_OUT = (
+    0.25,
+    16,
+)  # is held out of a fit where it has so many routes or more
 SHOWN = 3  # sentences of a line
 
 
@@ -134,7 +138,7 @@ class Conclusion(FactsRepr):
     def to_dict(self) -> dict[str, Any]:
         """Return lines and records as plain, JSON-ready values."""
         records = [verdict.to_dict() for verdict in self.verdicts]
-        return {**self.facts, "verdicts": records}
+        return {"lines": self.facts, "verdicts": records}
 
 
 def _line(verdicts: Sequence[Verdict]) -> str:
@@ -418,18 +422,21 @@ def _without_equal(measure: Measure) -> tuple[pd.DataFrame, list[tuple[str, ...]
     return values[order], [tuple(group) for group in groups if len(group) > 1]
 
 
-def next_step(verdicts: Sequence[Verdict], *, more: str, wider: str, done: str) -> str:
+def next_step(
+    verdicts: Sequence[Verdict], *, more: str, done: str, wider: str = "", factor: float = 1.0
+) -> str:
     """Return the command that decides the next thing, or uses what is decided.
 
     Args:
       verdicts: of a study.
       more: of more runs, with a place for ``{needed}``: the fewest that would decide one of the verdicts.
-      wider: of maps of wider bounds, where only they would decide.
       done: where nothing is left that a study of this kind decides.
+      wider: of maps of wider bounds, where only they would decide.
+      factor: how many runs the command makes for each one that counts.
     """
     needed = [each.needed for each in verdicts if 0 < each.needed < math.inf]
     if needed:
-        return more.format(needed=int(min(needed)))
+        return more.format(needed=math.ceil(factor * min(needed)))
     is_pinned = any(each.kind is SharedVerdict.BORDER for each in verdicts)
     return wider if is_pinned else done
 

@@ -9,6 +9,7 @@ from jaxurban.checks import finite, one_of, typed
 from jaxurban.errors import InputError
 
 MEAN = "mean_"  # of a metric along a route
+DETOUR = "detour"
 
 
 @typed
@@ -38,9 +39,7 @@ class Target:
     def __post_init__(self) -> None:
         """Check outcome, sense and value; ``mean_NAME`` is checked against the maps' metrics by `fit_targets`."""
         if not self.outcome.startswith(MEAN):
-            one_of(
-                "outcome", self.outcome, ("mean_NAME of a metric", "detour", "length_m", "people")
-            )
+            one_of("outcome", self.outcome, ("mean_NAME of a metric", DETOUR, "length_m", "people"))
         one_of("the sense of a target", self.sense, (">=", "<="))
         if not np.isfinite(self.value):
             raise InputError(f"target {str(self)!r} must end in a finite number")
@@ -72,6 +71,11 @@ class Target:
             raise InputError(f"target {text!r} must read like mean_gps>=0.8 or detour<=0.15")
         outcome, sense, number = match.groups()
         return cls(outcome, sense, finite(f"the bound of target {text!r}", number))
+
+    @property
+    def sign(self) -> float:
+        """1 where more is wished, -1 where less is."""
+        return 1.0 if self.sense == ">=" else -1.0
 
     def __str__(self) -> str:
         return f"{self.outcome} {self.sense} {self.value:g}"
