@@ -471,6 +471,12 @@ def run_study(
     return result
 
 
+def log_lines(lines: Mapping[str, str]) -> None:
+    """Log the lines of a study's conclusion: what is decided, what is not, and what to run next."""
+    for name, text in lines.items():
+        LOG.info(f"{name}: {text}")
+
+
 def finite_records(tables: "Mapping[str, pd.DataFrame]") -> Settings:
     """Return the rows of tables as JSON holds them, by the tables' names; infinite values become missing ones."""
     from jaxurban.io.tables import records_of

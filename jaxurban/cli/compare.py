@@ -22,6 +22,7 @@ from jaxurban.cli.common import (
     SHOWN,
     MapsOf,
     Settings,
+    log_lines,
     print_json,
     run_study,
 )
@@ -140,6 +141,7 @@ def validate_command(
         ),
         overwrite,
     )
+    log_lines(result.decided.facts)
     if as_json:
         (summary,) = records_of(pd.DataFrame([result.summary]))
         facts = {
@@ -148,5 +150,6 @@ def validate_command(
             "strong_dbhz": result.strong_dbhz,
             "left_out": dict(result.log.left_out),
             "guesses": [guess.sentence for guess in result.guesses],
+            "decided": result.decided.to_dict(),
         }
         print_json(_places_of(output) | facts)

@@ -20,6 +20,7 @@ from jaxurban.cli.common import (
     Settings,
     all_cores,
     constraints_given,
+    log_lines,
     outcome_of,
     print_json,
 )
@@ -132,6 +133,7 @@ def study_command(
         **rules,
     )
     report_file = result.save(analysis)[-1]
+    log_lines(result.decided.facts)
     LOG.info(f"study finished: read {report_file}")
 
     # What is printed with --json.
@@ -142,6 +144,7 @@ def study_command(
         "rows": str(result.folder / "rows.parquet"),
         "num_rows": len(result.rows),
         "statuses": statuses,
+        "decided": result.decided.to_dict(),
     }
     if as_json:
         print_json(facts, code, message)

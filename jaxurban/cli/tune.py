@@ -20,6 +20,7 @@ from jaxurban.cli.common import (
     RULES,
     MapsOf,
     Settings,
+    log_lines,
     print_json,
 )
 from jaxurban.cli.options import Values, command
@@ -38,7 +39,7 @@ class Fit(TypedDict):
     Attributes:
       scale: simplex (weights sum to 1) or distance (it has the weight 1), else what fits.
       bootstrap: number of fits for the intervals, else 200.
-      hold_out: share of the routes that is kept from the fits, to test them, else 0.
+      hold_out: share of the routes to keep from the fits, to test them, else 0.25 from 16 routes on.
       by_city: true: also fit to each city alone, and to all cities but it.
       max_rounds: most rounds of searches, else 20.
       seed: of all noise, else 0.
@@ -121,9 +122,10 @@ def tune_command(
     any, the study that `jaxurban study` kept in DIR. Several DIRs, each with its ROUTES, are fitted together.
     """
     search = {name: fit.pop(name) for name in OF_SEARCH if name in fit}
-    if wishes and fit:
+    beside = fit.keys() - {"hold_out"}
+    if wishes and beside:
         raise click.UsageError(
-            f"--fit {', '.join(fit)} belong to fits without --wish: leave them out"
+            f"--fit {', '.join(sorted(beside))} belongs to fits without --wish: leave it out"
         )
 
     from jaxurban.metrics.weights import Weights
@@ -153,6 +155,7 @@ def tune_command(
     facts = run_tuning(sources, output, settings, overwrite=overwrite)
 
     # What is printed: the message, warnings that it does not hold, and the weights.
+    log_lines(facts["decided"]["lines"])
     LOG.info(facts["message"])
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
         if warning != facts["message"]:

@@ -1,16 +1,32 @@
 """report.md of a Monte Carlo benchmark of planners, with its tables and figures."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 
 import pandas as pd
+from matplotlib.figure import Figure
 
+from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
 from jaxurban.report.figures.montecarlo import study_figures
+from jaxurban.report.figures.paths import plot_paths
 from jaxurban.report.sensitivity_study import weights_said
-from jaxurban.report.write import Written, fill, joined_with_and, study_outputs
+from jaxurban.report.write import Written, fill, first_lines, joined_with_and, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.studies.decided import FEWEST_RUNS
 from jaxurban.studies.montecarlo import analysis
+from jaxurban.studies.montecarlo.sampling import KEY, query_columns
 from jaxurban.studies.montecarlo.study import BenchmarkResult
+
+# The column of each table that counts runs, and columns that the report has in percent, above 1 (ratios) or 0 (shares).
+COUNTS = {"success": "joined", "costs": "paths", "times": "runs", "usage": "instances"}
+NUM_DRAWN = 4  # routes of a picture
+PERCENT = {
+    "costs": {"median": 1.0, "p90": 1.0, "worst": 1.0, "best_share": 0.0},
+    "usage": {"detour": 1.0},
+    "objectives": {"cost_ratio": 1.0, "length_ratio": 1.0},
+    "complementarity": {"gps_serves": 0.0, "lidar_serves": 0.0, "either_serves": 0.0},
+}
 
 
 def benchmark_outputs(result: BenchmarkResult) -> Written:
@@ -20,9 +36,33 @@ def benchmark_outputs(result: BenchmarkResult) -> Written:
     """
     tables = tables_of(result)
     figures = study_figures(result.maps, result.table, tables)
+    best = analysis.best_rows(result.table)
+    if (best.at_edge == 1).any():
+        figures["border"] = partial(border_figure, result, best[best.at_edge == 1])
     report = report_markdown(result, tables, list(figures))
     files = {f"{name}.csv": table for name, table in tables.items()}
     return study_outputs(report, files, figures), {}
+
+
+def border_figure(result: BenchmarkResult, pinned: pd.DataFrame) -> Figure:
+    """Return the cheapest grid routes of the first `NUM_DRAWN` pairs of places at the lowest altitude.
+
+    Args:
+      result: of the study.
+      pinned: rows whose paths come near the border.
+    """
+    drawn = pinned[pinned.altitude_m == pinned.altitude_m.min()].head(NUM_DRAWN)
+    rules = result.settings
+    names = ["altitude_m", *query_columns(result.instances.columns)]
+    queries = result.instances.merge(drawn[KEY])[names]
+    paths = plan_many(
+        result.maps,
+        queries.drop(columns="crs"),
+        cost_model=rules.cost_model,
+        constraints=rules.constraints,
+        progress=False,
+    )
+    return plot_paths(result.maps, paths, names=[f"instance {each}" for each in drawn.instance])
 
 
 def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
@@ -31,11 +71,12 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
     ``complementarity``, which compares GPS with lidar, is among them only where the maps hold both.
     """
     table = result.table
+    rankings = analysis.rankings(table).values()
     tables = {
-        "choices": analysis.choices(table),
+        "ranks": pd.concat([each.table for each in rankings]),
+        "pairs": pd.concat([each.pairs.assign(measure=each.measure) for each in rankings]),
         "success": analysis.success(table),
         "costs": analysis.costs(table),
-        "paired": analysis.paired(table),
         "times": analysis.times(table),
         "usage": analysis.usage(table),
         "objectives": analysis.objectives(table),
@@ -57,12 +98,16 @@ def report_markdown(
       tables: from `tables_of`.
       figures: names of the pictures that lie beside the report.
     """
-    # The shares of joined pairs that were solved: a row per planner and range, a column per altitude.
-    success = tables["success"]
+    # What has enough runs, shares in percent. Of the joined pairs that were solved: a row per planner and range, a
+    # column per altitude.
+    shown = dict(tables)
+    for name, num in COUNTS.items():
+        shown[name] = tables[name].query(f"{num} >= {FEWEST_RUNS}")
+    success = shown["success"]
     solved = success.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
-    names = sorted(success.planner.unique()), analysis.range_names(success)
-    solved = solved.reindex(pd.MultiIndex.from_product(names, names=solved.index.names))
-    solved = solved.rename(columns=lambda z: f"{z:g} m").reset_index()
+    shown["success"] = (100 * solved).rename(columns=lambda z: f"{z:g} m (%)").reset_index()
+    for name in tables.keys() & PERCENT.keys():
+        shown[name] = _in_percent(shown[name], PERCENT[name])
 
     # The share of pairs of places that some path joins, by altitude, and the budget of a run in words.
     table = result.table
@@ -75,7 +120,7 @@ def report_markdown(
         budget = f"{study.budget_s:g} s a run"
     return fill(
         "study",
-        {**tables, "success": solved},
+        shown,
         figures,
         [result.maps.attribution],
         num_instances=table.instance.nunique(),
@@ -91,5 +136,21 @@ def report_markdown(
         num_crashed=(table.status == CRASHED).sum(),
         num_odd=table.status.isin(["invalid", "bad-input"]).sum(),
         fewest=FEWEST_GROUPS,
-        analysis=analysis,
+        fewest_runs=FEWEST_RUNS,
+        lines=first_lines(result.decided.facts),
     )
+
+
+def _in_percent(table: pd.DataFrame, columns: Mapping[str, float]) -> pd.DataFrame:
+    """Return a table with columns, and the ends of their intervals, as percentages above a number.
+
+    Args:
+      table: some of whose columns are shares or ratios.
+      columns: their names, and the number of each: 0 of a share, 1 of a ratio.
+    """
+    for name, base in columns.items():
+        ends = [f"{name}{end}" for end in ("", "_low", "_high") if f"{name}{end}" in table]
+        table = table.assign(**{end: 100 * (table[end] - base) for end in ends})
+        title = f"{name.removesuffix('_ratio').removesuffix('_share')} (%)"
+        table = table.rename(columns={end: end.replace(name, title, 1) for end in ends})
+    return table

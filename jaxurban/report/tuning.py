@@ -28,6 +28,7 @@ from jaxurban.report.write import (
     code,
     files_of,
     fill,
+    first_lines,
     paragraphs,
     save,
 )
@@ -42,14 +43,14 @@ from jaxurban.studies.queries import maps_of
 from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.study_demonstrations import demonstrations_from_study, study_in
 from jaxurban.studies.tuning.compared_fits import ALL, FitComparison, compare_fits
-from jaxurban.studies.tuning.target_fit import Target, TargetFit, fit_targets
+from jaxurban.studies.tuning.target import Target
+from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.parquet"
-TABLES = "learning_curve", "fits", "targets", "weights", "examples"
+TABLES = "learning_curve", "fits", "targets", "tested", "weights", "examples"
 EXPLAINED = 1e-4  # a demonstration within this share of the cheapest route is explained
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
-ONE_FIT: dict[str, Any] = {"hold_out": 0.0, "by_city": False}
 
 
 @dataclass(frozen=True)
@@ -134,13 +135,18 @@ def run_tuning(
             result = None
             settings_of_fit = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
             if targets:
+                before = settings.pilot or Weights()
+                queries = [each.query for each in demonstrations]
                 fit = fit_targets(
-                    [each.query for each in demonstrations], targets, settings=settings_of_fit
+                    queries, targets, before=before, **settings.fits, settings=settings_of_fit
                 )
+                demonstrations = optimal_demonstrations(queries, before)
+                conclusion = fit.decided
             else:
-                options = ONE_FIT | dict(settings.fits)
+                options = {"by_city": False, **settings.fits}
                 result = compare_fits(cities, **options, settings=settings_of_fit)
                 fit = result.fits[ALL]
+                conclusion = result.decided
                 demonstrations = list(compress(demonstrations, ~result.is_held_out))
 
             # The routes under the fitted weights, and all files. A single fit to all routes is compared with nothing.
@@ -151,11 +157,12 @@ def run_tuning(
             texts = {
                 "targets": ", ".join(map(str, targets)),
                 "sources": Markdown("; ".join(_origins(files_by_source, settings))),
+                "lines": first_lines(conclusion.facts),
             }
             if result is not None and len(result.fits) == 1 and not result.is_held_out.any():
                 result = None
             save(folder, outputs_of(fit, demonstrations, planned, texts, result))
-    facts = _facts(fit, folder)
+    facts = _facts(fit, folder) | {"decided": conclusion.to_dict()}
     return facts if result is None else facts | {"fits": records_of(result.table)}
 
 
@@ -313,9 +320,9 @@ def outputs_of(
 
     Args:
       fit: the fit of the weights, to routes or to targets.
-      demonstrations: ``N`` routes as they are given; at least one.
+      demonstrations: ``N`` routes, at least one: those that were fitted, or the routes without the wish.
       planned: ``N`` routes between the same ends under the fitted weights.
-      texts: for the report: ``sources`` of the routes, and ``targets``.
+      texts: for the report: its first ``lines``, ``sources`` of the routes, and ``targets``.
       result: further fits, which the fit is compared with, and routes that were held out; None: there are none.
     """
     # The maps by the names of their pictures, the weights [K], a table of the routes, and fields of the report.
@@ -341,10 +348,15 @@ def outputs_of(
             fields["fits"] = fits_section(result)
     else:
         template = "targets"
-        noun = "given route"
+        noun = "route without the wish"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
         tables["outcomes"] = outputs["targets"] = fit.outcomes.join(alone).reset_index()
+        tables["tested"] = outputs["tested"] = fit.tested
+        num_tested = int(fit.is_held_out.sum())
+        fields |= {"tested": num_tested or len(demonstrations), "seen": "none"}
+        if not num_tested:
+            fields["seen"] = "all"
 
     # What every fit has: tables of its weights and of its routes, and a picture of the routes on each map.
     model = first.cost_model
@@ -429,10 +441,10 @@ def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
 
 
 def _means(routes: pd.DataFrame) -> pd.DataFrame:
-    """Return the means over routes of their length and of each metric along them, as given and under the weights."""
+    """Return the means over routes of their length and each metric, as demonstrated and under the weights."""
     planned = routes.filter(regex="^planned_").mean()
     planned.index = planned.index.str.removeprefix("planned_")
-    means = pd.DataFrame({"as given": routes[planned.index].mean(), "planned": planned})
+    means = pd.DataFrame({"demonstrated": routes[planned.index].mean(), "planned": planned})
     return means.rename_axis("mean over routes").reset_index()
 
 
@@ -476,7 +488,7 @@ def weights_toml(fit: WeightFit | TargetFit, cost_map: CostMap) -> str:
     lines = [
         f"# {fit.sentence}",
         "# Weights fitted by `jaxurban tune`; report.md says how sure they are. Paste the table into a scenario.",
-        f"# They belong to the cost model {cost_map.cost_model.kind!r}{_where(cost_map)}: plan with",
+        f"# They belong to the cost model {cost_map.cost_model.kind!r} {_where(cost_map)}: plan with",
         f"#   --rules cost_model={cost_map.cost_model.kind} --weights {weights_option(fit.weights)}",
         "[weights]",
         *(f"{name} = {value:.6g}" for name, value in fit.weights.to_dict().items()),
@@ -488,5 +500,5 @@ def _where(cost_map: CostMap) -> str:
     """Return the end of a sentence on weights: on which cells, or with which reference length, they apply."""
     if cost_map.cost_model.kind == "cell":
         side = f"{cost_map.grid.resolution_m:g} m"
-        return f" on cells of {side} (a step costs by the cell, so other sizes need other ones)"
-    return f" with a reference length of {cost_map.cost_model.reference_length_m:g} m"
+        return f"on cells of {side} (a step costs by the cell, so other sizes need other ones)"
+    return f"with a reference length of {cost_map.cost_model.reference_length_m:g} m"

@@ -296,7 +296,7 @@ def test_paths_that_are_cheapest_by_proof_are_one_line(maps):
     assert panel.get_xlabel().splitlines()[-1] == "astar: 1,235, 5.68 km"
     (panel,) = panels_of(plotting.plot_paths(maps, proven, names=["one", "other"]))
     assert len(lines_of(panel)) == 2
-    dearer = replace(proven[1], search=replace(proven[1].search, cost=2000.0))
+    dearer = replace(proven[1], cost=2000.0)
     (panel,) = panels_of(plotting.plot_paths(maps, [proven[0], dearer]))
     assert len(lines_of(panel)) == 2
 

@@ -11,7 +11,8 @@ from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.montecarlo.trial import row_columns
 from jaxurban.studies.queries import weights_from
 from jaxurban.studies.route_pool import FitSettings
-from jaxurban.studies.tuning.target_fit import Target, outcome_values
+from jaxurban.studies.tuning.target import Target
+from jaxurban.studies.tuning.target_fit import outcome_values
 from tests.studies.routes_made import made_queries
 
 NAMES = ("distance", "gps", "lidar", "population", "risk", "noise")

@@ -5,9 +5,8 @@ All but `complementarity`, which is of the maps, take the rows joined with their
 benchmark's cost model.
 """
 
-import itertools
 from collections.abc import Sequence
-from typing import Any
+from enum import Enum
 
 import numpy as np
 import pandas as pd
@@ -16,14 +15,20 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.rows import BAD_INPUT, CRASHED, HAS_PATH
 from jaxurban.planners.base import Status
 from jaxurban.studies.bootstrap import Clusters, Interval, draws_of, interval_of, named
+from jaxurban.studies.decided import (
+    Conclusion,
+    Measure,
+    Ranking,
+    SharedVerdict,
+    border_verdict,
+    next_step,
+    ranked,
+)
 from jaxurban.studies.montecarlo.sampling import KEY, RANGES
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
-CLOSE, NEAR = 1.01, 1.05  # ratios that count as the best, and as near it
-CHEAPER = 1e-3  # log of the ratio of two costs from which one is cheaper: 0.1 %
+CLOSE = 1.01  # ratio that counts as the best
 OFTEN = 0.8  # least share of joined pairs solved for a planner's metrics to be compared
-NEAR_SHARE = 0.9  # least share of joined pairs near the best for a planner to be called near it
-RELIABLE = 0.95  # least share of joined pairs solved for a planner to be advised
 SENSORS = ("gps", "lidar")  # the metrics of two sensors that may complement each other
 GOOD = 0.5  # a sensor serves where its m is at least this
 TILE_M = 500.0  # cells nearer than this are much alike, so whole tiles are drawn
@@ -164,49 +169,6 @@ def times(table: pd.DataFrame) -> pd.DataFrame:
     ).reset_index()
 
 
-def paired(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each two planners, compared on the pairs of places that both solved (``both``, a count).
-
-    ``cost_ratio`` is the geometric mean of the first planner's cost over the second's, ``low`` and ``high`` its 95 %
-    interval by the bootstrap over instances (all altitudes of an instance drawn together). ``first_cheaper`` and
-    ``second_cheaper`` are the shares of pairs on which one is cheaper by more than 0.1 %. ``only_first`` and
-    ``only_second`` count pairs that one planner alone solved. ``time_ratio`` is the median ratio of seconds.
-
-    Args:
-      table: from `with_instances`; only runs of the weighted objective count.
-    """
-    # Costs and seconds, a row per pair of places and a column per planner.
-    rows = weighted_rows(table)
-    cost = rows[rows.has_path].pivot(index=KEY, columns="planner", values="cost")
-    cost = cost.reindex(columns=sorted(rows.planner.unique()))
-    is_solved = cost.notna()
-    seconds = rows.pivot(index=KEY, columns="planner", values="elapsed_s")
-
-    # A row for each two planners; ratios are over the pairs that both solved at a cost above 0.
-    result = []
-    for first, second in itertools.combinations(cost.columns, 2):
-        both = cost[(cost[first] > 0) & (cost[second] > 0)]
-        log_ratio = np.log(both[first] / both[second])
-        interval = Clusters(both.index.get_level_values("instance")).interval(log_ratio)
-        time_ratio = (seconds[first] / seconds[second]).loc[both.index]
-        result.append(
-            {
-                "first": first,
-                "second": second,
-                "both": len(both),
-                "only_first": (is_solved[first] & ~is_solved[second]).sum(),
-                "only_second": (is_solved[second] & ~is_solved[first]).sum(),
-                "cost_ratio": np.exp(interval.value),
-                "low": np.exp(interval.low),
-                "high": np.exp(interval.high),
-                "first_cheaper": (log_ratio < -CHEAPER).mean(),
-                "second_cheaper": (log_ratio > CHEAPER).mean(),
-                "time_ratio": time_ratio.median(),
-            }
-        )
-    return pd.DataFrame(result)
-
-
 def objectives(table: pd.DataFrame) -> pd.DataFrame:
     """Return what it costs to fly the shortest path instead of the cheapest one, a row per planner and altitude.
 
@@ -258,58 +220,62 @@ def _changes(pairs: pd.DataFrame) -> dict[str, float]:
     return columns
 
 
-def choices(table: pd.DataFrame) -> pd.DataFrame:
-    """Return which planner to choose, a row per altitude and range, from low to high and from short to long.
+class StudyVerdict(Enum):
+    """What a benchmark decides of two planners."""
 
-    ``reliable`` names the planners that solve at least 95 % of the joined pairs; ``cheapest`` is the one of these with
-    the lowest mean ratio. ``fastest_near_best`` has the lowest median time among the planners that are within 5 % of
-    the best on nine pairs of ten. ``straight_enough`` is the share of joined pairs where the straight line is free and
-    within 5 % of the best.
+    COSTS_MORE = "{last} costs {size} more than {first} where both find a path ({n})"
+    FINDS_LESS = "{last} finds a path for {size} fewer of the joined pairs than {first} ({n})"
+
+
+def rankings(table: pd.DataFrame) -> dict[str, Ranking]:
+    """Return the planners in groups of ranks by ``"cost"`` and by ``"pairs solved"``.
+
+    Costs are compared by their ratio on the pairs that both planners solved, in percent; pairs solved in percentage
+    points of the joined pairs. All intervals hold at once; instances are drawn, with all their altitudes.
 
     Args:
       table: from `with_instances`; only runs of the weighted objective count.
     """
     rows = weighted_rows(table)
-    rows = rows[rows.is_joined]
-    rows = rows.assign(is_near=rows.ratio <= NEAR)
-    result = []
-    for altitude_m, at_altitude in rows.groupby("altitude_m"):
-        for name in range_names(at_altitude):
-            pairs = at_altitude[at_altitude.range == name]
-            result.append({"altitude_m": altitude_m, "range": name, **_choice(pairs)})
-    return pd.DataFrame(result)
+    rows = rows[rows.is_joined].assign(percent=100.0 * rows.has_path)
+    cost = rows.cost.where(rows.has_path & (rows.cost > 0))
+    costs = rows.assign(cost=cost).pivot(index=KEY, columns="planner", values="cost")
+    percent = rows.pivot(index=KEY, columns="planner", values="percent")
+    measures = {
+        "cost": Measure(costs, is_ratio=True),
+        "pairs solved": Measure(percent, "percentage points", is_better_high=True),
+    }
+    return ranked(measures, Clusters(costs.index.get_level_values("instance")))
 
 
-def _choice(pairs: pd.DataFrame) -> dict[str, Any]:
-    """Return which planners to choose for the joined pairs of one altitude and range (see `choices`).
+def best_rows(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the row of the cheapest path of each pair of places that has one; rows of the weighted objective."""
+    rows = weighted_rows(table)
+    rows = rows[rows.has_path & rows.cost.notna()]
+    return rows.loc[rows.groupby(KEY).cost.idxmin()]
 
-    Where no planner qualifies its name is ``"none"``, and its number NaN. Of equal planners the faster one is named.
+
+def conclusion(table: pd.DataFrame) -> Conclusion:
+    """Return what a benchmark decided: the planners' ranks, and how many routes the border may have made.
 
     Args:
-      pairs: a row per pair and planner, with ``is_near``: within 5 % of the best.
+      table: from `with_instances`.
     """
-    facts = pairs.groupby("planner").agg(
-        pairs=("ratio", "size"),
-        share=("has_path", "mean"),
-        ratio=("ratio", "mean"),
-        near=("is_near", "mean"),
-        median_s=("elapsed_s", "median"),
+    of_cost, of_pairs = rankings(table).values()
+    verdicts = of_cost.verdicts(StudyVerdict.COSTS_MORE, "instances")
+    of_pairs_solved = of_pairs.verdicts(StudyVerdict.FINDS_LESS, "instances")
+    verdicts += [each for each in of_pairs_solved if each.kind is not SharedVerdict.EQUAL]
+    verdicts += border_verdict(best_rows(table).at_edge.to_numpy() == 1)
+    best = of_cost.names[0].partition(" ")[0] if of_cost.names else "astar-plus"
+    return Conclusion(
+        tuple(verdicts),
+        next_step(
+            verdicts,
+            more="jaxurban study SCENARIO -o DIR --set study.instances={needed}",
+            wider='jaxurban study SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
+            done=f"jaxurban plan DIR --start LON,LAT --goal LON,LAT --planner {best}",
+        ),
     )
-
-    # The fastest planner comes first, as `idxmin` takes the first of equal ones.
-    facts = facts.sort_values("median_s")
-    reliable = facts[facts.share >= RELIABLE]
-    near = facts[facts.near >= NEAR_SHARE]
-    return {
-        "joined_pairs": int(facts.pairs.max()),
-        "reliable": ", ".join(sorted(reliable.index)) or "none",
-        # Rounded, so that equal costs stay equal where they were added up in another order.
-        "cheapest": reliable.ratio.round(9).idxmin() if len(reliable) else "none",
-        "cheapest_ratio": reliable.ratio.min(),
-        "fastest_near_best": near.median_s.idxmin() if len(near) else "none",
-        "fastest_s": near.median_s.min(),
-        "straight_enough": facts.near.get("ptp", np.nan),
-    }
 
 
 def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.DataFrame:
