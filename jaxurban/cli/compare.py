@@ -67,6 +67,7 @@ def compare_command(
         )
 
     result = run_study("compare", output, study, overwrite)
+    log_lines(result.decided.facts)
     if as_json:
         from jaxurban.io.tables import records_of
 
@@ -75,6 +76,7 @@ def compare_command(
             "settings": result.settings,
             "layers": records_of(result.table),
             "regrets": records_of(result.regrets),
+            "decided": result.decided.to_dict(),
         }
         print_json(_places_of(output) | facts)
 

@@ -1,17 +1,14 @@
 """report.md of a comparison of maps, with its table, difference maps and figures, all on one scale around zero."""
 
+import math
 from functools import partial
-from itertools import compress
-from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from jaxurban.checks import one_of
-from jaxurban.io.geotiff import write_bands
-from jaxurban.io.stored import short_number
 from jaxurban.maps.provenance import NOT_SET
 from jaxurban.report.figures.frame import (
     OBSTACLE_COLOUR,
@@ -35,6 +32,7 @@ from jaxurban.report.write import (
     bullets,
     code,
     fill,
+    first_lines,
     framed,
     joined_with_and,
     paragraphs,
@@ -42,7 +40,13 @@ from jaxurban.report.write import (
     study_outputs,
     table,
 )
-from jaxurban.studies.map_comparison import CLOSED, MASKS, MapComparison, unit_of
+from jaxurban.studies.map_comparison import (
+    CLOSED,
+    MASKS,
+    STATISTICS,
+    MapComparison,
+    unit_of,
+)
 from jaxurban.studies.queries import population_norms
 
 
@@ -75,58 +79,54 @@ def plot_difference(result: MapComparison, layer: str, *, time: str | None = Non
     Raises:
       InputError: a layer or a time that is not compared.
     """
-    # The differences of the layer at the time, with their rows of the table, which has one per place in this order.
-    places = result.places(one_of("layer", layer, result.layers))
-    times = list(dict.fromkeys(place.time for place in places))
-    time = times[0] if time is None else one_of("time", time, times)
-    is_drawn = [place.time == time for place in places]
-    rows: Any = result.table[result.table.layer == layer][is_drawn].itertuples()
-    places = list(compress(places, is_drawn))
-    differences = [result.of(layer, **place._asdict()) for place in places]
+    # The maps of the layer at the time, and their rows of the table, which are in one order.
+    change = result.difference(layer).values
+    rows = result.table[result.table.layer == layer].reset_index(drop=True)
+    if rows.time.notna().any():
+        time = one_of("time", time or rows.time[0], rows.time.unique())
+        rows = rows[rows.time == time]
+    maps = change.reshape(-1, *result.grid.shape)[rows.index]
 
     # One scale for all panels, by the sizes of the changes.
-    sizes = np.abs(np.concatenate(differences, axis=None))
-    colours = difference_colours(sizes[sizes > result.tolerance], _label(result, layer))
+    sizes = np.abs(maps)
+    label = f"{_named(result, layer)}, B - A (red: B is higher)"
+    meaning = meaning_of(result.a, layer) if layer in result.a.metrics else ""
+    if meaning:
+        label = f"{label}\n(m of 1: {meaning})"
+    colours = difference_colours(sizes[sizes > result.tolerance], label)
 
-    # A panel for each map: the differences, cut off at the ends of the scale, and blocked cells over them.
+    # A panel for each map: the differences, cut off at the ends of the scale, and blocked cells over them. These have
+    # data in both maps and no difference; of a mask (`MASKS`) at an altitude they are blocked in both.
     has_data = result.a.ds["has_data"].values & result.b.ds["has_data"].values
     panels = []
-    for place, row, values in zip(places, rows, differences, strict=True):
-        where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
-
-        # [Y, X] the cells that are shown as blocked: they have data in both maps and no difference; of a mask (`MASKS`)
-        # at an altitude they are blocked in both.
+    for values, row in zip(maps, rows.to_dict("records"), strict=True):
         is_grey = np.isnan(values)
-        if layer in MASKS and place.altitude_m is not None:
-            is_free = result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre")
-            is_grey = ~is_free & (values == 0)
-        layers = [
-            DrawnMap(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours),
-            flat_layer(is_grey & has_data, OBSTACLE_COLOUR),
-        ]
+        where = "" if pd.isna(row["time_of_day"]) else row["time_of_day"]
+        if not math.isnan(row["altitude_m"]):
+            where = f"{row['altitude_m']:g} m"
+            if layer in MASKS:
+                is_free = result.a.is_free(row["altitude_m"], None if layer == CLOSED else "centre")
+                is_grey = ~is_free & (values == 0)
+        shown = DrawnMap(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours)
         text = "unchanged"
-        if row.share_changed:
-            text = f"mean {row.mean:+.3g}, {precise_percent(row.share_changed)} changed"
-        panels.append(MapPanel(joined(where, text), layers))
+        if row["share_changed"]:
+            text = f"mean {row['mean']:+.3g}, {precise_percent(row['share_changed'])} changed"
+        blocked = flat_layer(is_grey & has_data, OBSTACLE_COLOUR)
+        panels.append(MapPanel(joined(where, text), [shown, blocked]))
 
     # What the picture says.
-    blocked = "blocked in A and B" if layer in MASKS else "blocked in A or B"
-    legend = [(blocked, OBSTACLE_COLOUR)]
+    blocked_in = "blocked in A and B" if layer in MASKS else "blocked in A or B"
     heading = f"{heading_of(result, layer)}, B - A"
     note = _note(result, time)
+    legend = [(blocked_in, OBSTACLE_COLOUR)]
     return draw_maps(result.grid, panels, heading, note, legend=legend, colours=colours)[0]
 
 
-def _label(result: MapComparison, layer: str) -> str:
-    """Return the label of a difference's colour bar: layer, unit, which map is the higher one, and what 1 means."""
+def _named(result: MapComparison, layer: str) -> str:
+    """Return what the colour bar calls a layer, with its unit."""
+    name = symbol_of(layer) if layer in result.a.metrics else layer
     unit = unit_of(result.a, layer)
-    in_unit = "" if unit == "1" else f" [{unit}]"
-    change = "B - A (red: B is higher)"
-    if layer not in result.a.metrics:
-        return f"{layer}{in_unit}, {change}"
-    label = f"{symbol_of(layer)}{in_unit}, {change}"
-    meaning = meaning_of(result.a, layer)
-    return f"{label}\n(m of 1: {meaning})" if meaning else label
+    return name if unit == "1" else f"{name} [{unit}]"
 
 
 def _note(result: MapComparison, time: str | None) -> str:
@@ -137,14 +137,12 @@ def _note(result: MapComparison, time: str | None) -> str:
       time: A's time of the layer that is drawn; None for a layer without times, whose note names no guesses of the sky.
     """
     lines = []
+    times = {"A": time, "B": result.times.get(time or "")}
     for side, name, maps in zip("AB", result.names, (result.a, result.b), strict=True):
-        facts = [joined(side, name if name != side else "", by=": ")]
-        if time:
-            facts.append(time_said(time if side == "A" else result.times[time]))
+        head = side if name == side else f"{side}: {name}"
+        at = times[side]
         guesses = guesses_said(maps, time is not None)
-        if guesses:
-            facts.append(f"guessed: {guesses}")
-        lines.append(joined(*facts))
+        lines.append(joined(head, at and time_said(at), guesses and f"guessed: {guesses}"))
     return "\n".join([*lines, joined(*ground_said(result.grid, result.a.attribution))])
 
 
@@ -161,47 +159,13 @@ def comparison_outputs(result: MapComparison) -> Written:
         "values": crc32(result.table.to_csv().encode()),  # maps in memory have no name of their own
     }
     figures = comparison_figures(result)
-    size = short_number(result.grid.resolution_m)
-    outputs = {
-        f"difference/{layer}_{size}m.tif": partial(_write_difference, result, layer)
-        for layer in result.layers
-    }
     report = comparison_markdown(result, list(figures))
     tables = {"layers": result.table}
     if len(result.routes):
         tables |= {"routes": result.routes, "regrets": result.regrets}
         key |= {"routes": result.routes["pair"].nunique(), "seed": result.seed}
         key["values_of_routes"] = crc32(result.routes.to_csv().encode())
-    return outputs | study_outputs(report, tables, figures), key
-
-
-def _write_difference(result: MapComparison, layer: str, file: Path) -> Path:
-    """Write a layer's differences as a GeoTIFF, a band for each altitude, time and time of day; return the file.
-
-    A layer without any of these has one band, named ``B - A``.
-
-    Args:
-      result: the comparison.
-      layer: one of its layers.
-      file: the GeoTIFF.
-    """
-    # The differences ``[Y, X]`` of each band, by its name.
-    bands = {}
-    for place in result.places(layer):
-        altitude = None if place.altitude_m is None else f"{place.altitude_m:g} m"
-        name = joined(altitude, place.time, place.time_of_day, by=" ") or "B - A"
-        bands[name] = result.of(layer, **place._asdict())
-
-    # What the file says of itself.
-    tags = {
-        "layer": layer,
-        "difference": "B - A",
-        "maps_a": result.names[0],
-        "maps_b": result.names[1],
-    }
-    if result.a.attribution:
-        tags["attribution"] = result.a.attribution
-    return write_bands(file, result.grid, bands, unit_of(result.a, layer), tags)
+    return study_outputs(report, tables, figures), key
 
 
 def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
@@ -213,6 +177,8 @@ def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
     changed = rows[is_first & ~rows.layer.isin(same)].drop(columns="time").astype(object)
     values = "Not one value differs."
     if len(changed):
+        is_dust = changed[STATISTICS].abs() <= result.tolerance  # below the precision of a map
+        changed[STATISTICS] = changed[STATISTICS].mask(is_dust, 0)
         values = framed(changed.where(changed.notna(), ""))
 
     pictures = [
@@ -226,6 +192,7 @@ def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
         {"regrets": result.regrets},
         credits=[result.a.attribution, result.b.attribution],
         result=result,
+        lines=first_lines(result.decided.facts),
         extent=f"Compared are {facts['grid']} ({facts['CRS']}) at {facts['altitudes']}.",
         settings=_settings(result),
         values=values,
@@ -236,37 +203,24 @@ def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
 
 
 def _settings(result: MapComparison) -> str:
-    """Return the section of a report on what the maps were made with, as Markdown.
+    """Return a table of what the maps were made with and differs, or a sentence, as Markdown.
 
-    A table of A's and B's settings that differ, GPS times that differ, and what population is divided by where that
-    differs; or a sentence where the settings are not known, or are the same.
+    These are settings, times of GPS, and what population is divided by.
     """
-    # Rows of a name, A's value and B's value: settings, times of GPS, and what population is divided by.
-    rows: list[tuple[str, Any, Any]] = [
-        (code(key), of_a, of_b) for key, (of_a, of_b) in (result.settings or {}).items()
-    ]
-    for of_a, of_b in result.times.items():
-        if of_a != of_b:
-            rows.append(("time of GPS", of_a, of_b))
-    norms_a = population_norms(result.a)
-    norms_b = population_norms(result.b)
-    for day, norm_a in norms_a.items():
-        norm_b = norms_b.get(day, norm_a)  # the same where B does not hold this time of day
-        if "population" in result.layers and norm_a != norm_b:
-            rows.append((f"population is divided by, {day}", f"{norm_a:,.0f}", f"{norm_b:,.0f}"))
-
-    parts = []
     if result.settings is None:
-        parts.append(
-            "Not both sets were made by `jaxurban maps`, so that their settings are not known."
-        )
-    elif not result.settings:
-        parts.append("No setting differs.")
-    if rows:
-        texts = [(name, _value_text(of_a), _value_text(of_b)) for name, of_a, of_b in rows]
-        parts.append(table(("", "A", "B"), texts))
-    return paragraphs(*parts)
-
-
-def _value_text(value: Any) -> str:
-    return NOT_SET if value is None else code(value)
+        head = "Not both sets were made by `jaxurban maps`, so that their settings are not known."
+    else:
+        head = "" if result.settings else "No setting differs."
+    pairs = {code(key): pair for key, pair in (result.settings or {}).items()}
+    pairs |= {Markdown("time of GPS"): pair for pair in result.times.items()}
+    norms_b = population_norms(result.b)
+    for day, norm in population_norms(result.a).items():
+        if "population" in result.layers and day in norms_b:
+            name = Markdown(f"population is divided by, {day}")
+            pairs[name] = f"{norm:,.0f}", f"{norms_b[day]:,.0f}"
+    rows = [
+        (name, *(NOT_SET if value is None else code(value) for value in pair))
+        for name, pair in pairs.items()
+        if pair[0] != pair[1]
+    ]
+    return paragraphs(head, table(("", "A", "B"), rows) if rows else "")

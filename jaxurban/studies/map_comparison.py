@@ -1,13 +1,15 @@
 """compare: two sets of maps of one place, cell by cell, on the part that both hold."""
 
-import itertools
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from jaxurban.checks import at_least, finite, one_of, typed
 from jaxurban.errors import InputError
@@ -16,18 +18,38 @@ from jaxurban.io.results import Result
 from jaxurban.io.stored import RUN_FILE
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps
 from jaxurban.maps.provenance import Differing, differing
-from jaxurban.maps.shared import OneMap, paired_times, shared_part
+from jaxurban.maps.shared import paired_times, shared_part
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.settings import iso_utc
+from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.compared_routes import compared_routes, route_regrets
+from jaxurban.studies.decided import Conclusion, Verdict, border_verdict, effects, next_step
 from jaxurban.world.grid import Grid
 
 # The layer of cells that no planner enters, beside ``obstacle``, the metrics' rule.
 CLOSED = "closed"
 MASKS = ("obstacle", CLOSED)
+STATISTICS = ["mean", "median", "p05", "p95", "rms"]
+ORDER = (TIME, ALTITUDE, TIME_OF_DAY, "y", "x")
 SAME = 1e-6  # values that differ by no more, as on another device, have not changed
+PLACE = ["altitude_m", "time", "time_of_day"]
+COLUMNS = ["layer", "unit", *PLACE, "cells", *STATISTICS, "higher", "lower", "share_changed"]
+USUAL_ROUTES = 40  # at each altitude, from which routes are judged
+
+
+class MapVerdict(Enum):
+    """Kinds of verdicts on two sets of maps; ``cause`` is the one setting that differs, else B."""
+
+    LOWER = "{cause} lowers m_{last} by {size} on average ({n})"
+    HIGHER = "{cause} raises m_{last} by {size} on average ({n})"
+    CLOSED = "{cause} closes {count:,} of {n} to planners and opens {others:,}"
+    ROUTES = "{cause} changes {count:,} of {n} by at most {apart_m:,.0f} m, {size} of all; {closed:,} are closed"
+    SAME_ROUTES = "{cause} changes none of {n} ({size} of all)"
+    KEPT = "A route of A costs {size} more on B than B's own ({n})"
+    KEPT_OPEN = "What a route of A costs on B above B's own cannot be told from 0: {size} ({n})"
+    NO_ROUTES = "Whether routes change: none were planned"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +65,7 @@ class MapComparison(Result):
       tolerance: up to which values are the same.
       table: a row per layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
         hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
-        ``gained`` and ``lost``, the cells that are higher by more than ``tolerance`` in B and in A, and
+        ``higher`` and ``lower``, the cells that are higher, and lower, by more than ``tolerance`` in B, and
         ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
         values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
       routes: a row for each route of one map under the other (`compared_routes`); empty where none were asked for.
@@ -98,89 +120,110 @@ class MapComparison(Result):
         others = sorted({*map(str, self.a.ds.data_vars)} - {"obstacle", "has_data", *metrics})
         return (*MASKS, *metrics, *others)
 
-    def places(self, layer: str) -> list[OneMap]:
-        """Return the maps of a layer that are compared.
-
-        Returns:
-          The altitude, time and time of day of each map, None where the layer does not vary along it; `of` takes them.
-
-        Examples:
-          >>> change = ju.studies.compare(maps, maps, progress=False)
-          >>> [place.altitude_m for place in change.places("risk")]
-          [20.0, 60.0]
-        """
-        dims = (ALTITUDE,) if layer == CLOSED else self.a.ds[layer].dims
-        values: dict[str, Sequence[Any]] = {
-            TIME: self.a.times,
-            ALTITUDE: self.a.altitudes_m,
-            TIME_OF_DAY: self.a.times_of_day,
-        }
-        choices = [values[dim] if dim in dims else (None,) for dim in values]
-        return [OneMap(z_m, time, day) for time, z_m, day in itertools.product(*choices)]
-
     @typed
-    def of(
-        self,
-        layer: str,
-        altitude_m: float | None = None,
-        *,
-        time: str | None = None,
-        time_of_day: str | None = None,
-    ) -> np.ndarray:
-        """Return B - A of one map.
+    def difference(self, layer: str) -> xr.DataArray:
+        """Return B - A of a layer.
 
         Args:
           layer: one of `layers`.
-          altitude_m, time, time_of_day: as in `MetricMaps.m`; the first if left out.
 
         Returns:
-          The differences, ``[Y, X]`` float32 in the layer's unit, NaN where either is blocked or holds no number. Of
-          ``obstacle`` and ``closed`` 1 where only B is blocked, -1 where only A is, NaN without data. Infinite values
-          (dilutions of precision) differ by 0 where both are infinite, else by an infinite number.
+          The differences by time, altitude and time of day, as far as the layer has them, and ``[Y, X]``, float32 in
+          its unit; times are A's. NaN where either is blocked or holds no number. Of ``obstacle`` and ``closed`` 1
+          where only B is blocked, -1 where only A is, NaN without data. Infinite values (dilutions of precision)
+          differ by 0 where both are infinite, else by an infinite number.
 
         Raises:
-          InputError: no such layer, altitude or time in both.
+          InputError: no such layer in both.
 
         Examples:
           >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
-          >>> change = ju.studies.compare(maps, higher_mask, progress=False).of("gps", 60.0)
-          >>> change.shape, round(float(np.nanmean(change)), 2)
+          >>> change = ju.studies.compare(maps, higher_mask, progress=False).difference("gps")
+          >>> change.sel(altitude=60.0).shape[-2:], round(float(change.mean()), 2)
           ((30, 30), -0.12)
         """
-        # The altitude: the first one if it is left out, and None where the layer does not vary with altitude.
-        first_m = self.places(one_of("layer", layer, self.layers))[0].altitude_m
-        z_m = first_m if None in (first_m, altitude_m) else altitude_m
+        one_of("layer", layer, self.layers)
+        a, b = (_layer(maps, layer) for maps in (self.a, self.b))
 
-        # [Y, X] cells with a number in both maps. Masks and layers without altitudes have one wherever there are data,
-        # and other layers in the cells that are free by their centres.
-        if z_m is None or layer in MASKS:
-            is_known = self.a.ds["has_data"].values & self.b.ds["has_data"].values
-        else:
-            is_known = self.a.is_free(z_m, "centre") & self.b.is_free(z_m, "centre")
-
-        # The two maps. The time is one of A's, and B's map beside it may have another time.
-        time_of_b = None if time is None else self.times.get(iso_utc(time), time)
-        a = _values(self.a, layer, OneMap(z_m, time, time_of_day))
-        b = _values(self.b, layer, OneMap(z_m, time_of_b, time_of_day))
+        # [..., Y, X] where both hold a number. Masks and layers without altitudes have one wherever there are data, and
+        # other layers in the cells that are free by their centres.
+        is_known = self.a.ds["has_data"] & self.b.ds["has_data"].values
+        if ALTITUDE in a.dims and layer not in MASKS:
+            blocked = self.a.ds["obstacle"] + self.b.ds["obstacle"].values
+            is_known = is_known & (blocked == 0)
         with np.errstate(invalid="ignore"):
             # Two infinite values differ by 0, and not by NaN.
-            change = np.where(a == b, np.float32(0), b - a)
-        return np.where(is_known, change, np.float32(np.nan))
+            change = np.where(a.values == b.values, np.float32(0), b.values - a.values)
+        return a.copy(data=change).where(is_known)
+
+    @property
+    def decided(self) -> Conclusion:
+        """What B's maps change in the cost's metrics, in the cells open to planners, and for routes."""
+        cause = "B"
+        if self.settings is not None and len(self.settings) == 1:
+            ((key, (of_a, of_b)),) = self.settings.items()
+            cause = f"{key} {of_b} instead of {of_a}"
+        verdicts = [*self._of_layers(cause), *self._of_routes(cause)]
+        a, b = self.names
+        more = f"jaxurban compare {a} {b} --routes {{needed}} -o OUT"
+        done = f"jaxurban view {a} --against {b}"
+        if self.routes.empty:
+            done = more.format(needed=USUAL_ROUTES)
+        following = next_step(
+            verdicts,
+            more=more,
+            done=done,
+            wider='jaxurban maps SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
+            factor=1 / len(self.a.altitudes_m),
+        )
+        return Conclusion(tuple(verdicts), following)
+
+    def _of_layers(self, cause: str) -> Iterator[Verdict]:
+        """Yield by how much each metric differs on average over all cells, and how many cells close and open."""
+        rows = self.table[self.table.cells > 0]
+        for name in self.a.metrics:
+            of_metric = rows[rows.layer == self.a.variable(name)]
+            if of_metric.share_changed.max() > 0:
+                mean = float(np.average(of_metric["mean"], weights=of_metric.cells))
+                kind = MapVerdict.LOWER if mean < 0 else MapVerdict.HIGHER
+                num = int(of_metric.cells.sum())
+                yield Verdict(kind, (name,), abs(mean), n=num, noun="cells", facts={"cause": cause})
+        cells, count, others = rows[rows.layer == CLOSED][["cells", "higher", "lower"]].sum()
+        if count or others:
+            facts = {"cause": cause, "count": int(count), "others": int(others)}
+            yield Verdict(MapVerdict.CLOSED, n=int(cells), noun="cells", facts=facts)
+
+    def _of_routes(self, cause: str) -> Iterator[Verdict]:
+        """Yield how many of A's routes change on B, what it costs to keep them, and how many the border may decide."""
+        if self.routes.empty:
+            yield Verdict(MapVerdict.NO_ROUTES, needed=math.nan)
+            return
+        routes = self.routes[(self.routes.planned_on == "A") & self.routes.is_closed.notna()]
+        clusters = Clusters(routes.pair)
+        is_changed = (routes.is_closed > 0) | (routes.regret > SAME)
+        share, low, high = (100 * each for each in clusters.interval(is_changed, "share"))
+        facts = {
+            "cause": cause,
+            "count": int(is_changed.sum()),
+            "closed": int(routes.is_closed.sum()),
+            "apart_m": routes.apart_m.where(is_changed, 0.0).max(),
+        }
+        kind = MapVerdict.ROUTES if is_changed.any() else MapVerdict.SAME_ROUTES
+        yield Verdict(kind, (), share, low, high, len(routes), "%", facts=facts)
+        kept = effects(100 * routes[["regret"]].to_numpy(), clusters).iloc[0]
+        if is_changed.any() and kept.n:
+            kind = MapVerdict.KEPT_OPEN if kept.needed else MapVerdict.KEPT
+            size = kept["size"], kept.low, kept.high
+            yield Verdict(kind, (), *size, int(kept.n), "%", needed=kept.needed)
+        yield from border_verdict(routes.at_edge.to_numpy() > 0)
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is compared, how much of it changed at most, and what was left out or made by other settings."""
-        times = [
-            time_a if time_a == time_b else f"{time_a} of A beside {time_b} of B"
-            for time_a, time_b in self.times.items()
-        ]
-        changed = [f"{name} {share:.1%}" for name, share in self.most_changed.items()]
-        return {
+        """What it decided, what is compared, and what was left out or made by other settings."""
+        return self.decided.facts | {
             "A": self.names[0],
             "B": self.names[1],
             **{name: self.a.facts[name] for name in ("grid", "CRS", "altitudes")},
-            "times": ", ".join(times),
-            "cells changed, at most": ", ".join(changed),
             "left out": ", ".join(self.left_out),
             "settings that differ": ", ".join(self.settings or ()),
         }
@@ -215,8 +258,8 @@ def compare(
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
-      `MapComparison`: its ``table`` has a row per layer, altitude, time and time of day with statistics of B - A, `of`
-      returns the differences of one map, and ``save`` writes the report.
+      `MapComparison`: its ``table`` has a row per layer, altitude, time and time of day with statistics of B - A,
+      `difference` returns those of a layer, and ``save`` writes the report.
 
     Raises:
       InputError: maps of another CRS or resolution, that share no cell, altitude, time or layer, or a wrong argument.
@@ -224,11 +267,11 @@ def compare(
     Examples:
       >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
       >>> change = ju.studies.compare(maps, higher_mask, progress=False)
-      >>> change.table.set_index("layer").loc[["gps", "lidar"], ["unit", "cells", "gained", "lost"]]
-            unit  cells  gained  lost
+      >>> change.table.set_index("layer").loc[["gps", "lidar"], ["unit", "cells", "higher", "lower"]]
+            unit  cells  higher  lower
       layer
-      gps      1    891       0   792
-      lidar    1    891       0     0
+      gps      1    891       0    792
+      lidar    1    891       0      0
       >>> regrets = ju.studies.compare(maps, higher_mask, routes=20, progress=False).regrets
       >>> regrets[["planned_on", "judged_on", "routes", "closed"]].to_numpy().tolist()
       [['A', 'B', 20, 0.0], ['B', 'A', 20, 0.0]]
@@ -256,22 +299,18 @@ def compare(
         tolerance=tolerance,
     )
 
-    rows = []
     with reporting("compare", progress) as report:
-        # A row per map of each layer.
-        for layer in report.over("layers", result.layers):
-            for one_map in result.places(layer):
-                place = one_map._asdict()
-                change = result.of(layer, **place)
-                head = {"layer": layer, "unit": unit_of(part_a, layer), **place}
-                rows.append(head | _statistics(change[~np.isnan(change)], tolerance))
+        tables = [
+            _statistics(layer, unit_of(part_a, layer), result.difference(layer), tolerance)
+            for layer in report.over("layers", result.layers)
+        ]
 
         # Routes, at the first pair of times.
         judged = result.routes
         if routes:
             times = next(iter(result.times.items()), (None, None))
             judged = compared_routes(part_a, part_b, routes, seed, times, report)
-    return replace(result, table=pd.DataFrame(rows), routes=judged, seed=seed)
+    return replace(result, table=pd.concat(tables, ignore_index=True), routes=judged, seed=seed)
 
 
 def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:
@@ -319,40 +358,41 @@ def unit_of(maps: MetricMaps, layer: str) -> str:
     return "1" if layer == CLOSED else str(maps.ds[layer].attrs.get("units", "1"))
 
 
-def _values(maps: MetricMaps, layer: str, place: OneMap) -> np.ndarray:
-    """Return ``[Y, X]`` float32 one map of a layer, in its unit; of `CLOSED` 1 where planners may not enter."""
+def _layer(maps: MetricMaps, layer: str) -> xr.DataArray:
+    """Return a layer as float32, ``[..., Y, X]`` in its unit; of `CLOSED` 1 where planners may not enter."""
+    array = maps.ds["obstacle" if layer == CLOSED else layer]
     if layer == CLOSED:
-        assert place.altitude_m is not None
-        return (~maps.is_free(place.altitude_m)).astype(np.float32)
-    return maps.m(layer, place.altitude_m, time=place.time, time_of_day=place.time_of_day).astype(
-        np.float32
-    )
+        is_free = [maps.is_free(altitude_m) for altitude_m in maps.altitudes_m]
+        array = array.transpose(*ORDER, missing_dims="ignore").copy(data=~np.stack(is_free))
+    return array.transpose(*ORDER, missing_dims="ignore").astype(np.float32)
 
 
-def _statistics(values: np.ndarray, tolerance: float) -> dict[str, Any]:
-    """Return the statistics of differences B - A of the ``N`` cells that both know, as columns of a row.
+def _statistics(layer: str, unit: str, change: xr.DataArray, tolerance: float) -> pd.DataFrame:
+    """Return a row of statistics for each map of a layer's differences, in their order.
 
-    Infinite differences count as changed, ``gained`` or ``lost``, and in no other statistic. Where no difference is
+    Infinite differences count as changed, ``higher`` or ``lower``, and in no other statistic. Where no difference is
     finite the other statistics are NaN.
 
     Args:
-      values: ``[N]`` in the layer's unit, none NaN.
+      layer: its name.
+      unit: of the layer.
+      change: ``[..., Y, X]`` in the layer's unit, NaN where it is not known.
       tolerance: a difference of at most this, in the same unit, is no change.
     """
-    # The finite differences; a single NaN in their place makes all statistics of them NaN.
-    numbers = values[np.isfinite(values)].astype(np.float64)
-    if not len(numbers):
-        numbers = np.array([np.nan])
-    gained = int((values > tolerance).sum())
-    lost = int((values < -tolerance).sum())
-    return {
-        "cells": len(values),
-        "mean": numbers.mean(),
-        "median": np.quantile(numbers, 0.5),
-        "p05": np.quantile(numbers, 0.05),
-        "p95": np.quantile(numbers, 0.95),
-        "rms": np.sqrt(np.mean(numbers**2)),
-        "gained": gained,
-        "lost": lost,
-        "share_changed": (gained + lost) / len(values) if len(values) else np.nan,
+    cells = ["y", "x"]
+    numbers = change.where(np.isfinite(change)).astype(np.float64)
+    quantiles = numbers.quantile([0.5, 0.05, 0.95], cells).drop_vars("quantile")
+    statistics = {
+        "cells": change.count(cells),
+        "mean": numbers.mean(cells),
+        **dict(zip(("median", "p05", "p95"), quantiles, strict=True)),
+        "rms": np.sqrt((numbers**2).mean(cells)),
+        "higher": (change > tolerance).sum(cells),
+        "lower": (change < -tolerance).sum(cells),
     }
+    table = xr.Dataset(statistics).expand_dims(layer=[layer]).to_dataframe().reset_index()
+    if TIME in table:
+        table[TIME] = table[TIME].map(iso_utc)
+    table = table.rename(columns={ALTITUDE: "altitude_m"}).assign(unit=unit)
+    share = (table.higher + table.lower) / table.cells
+    return table.assign(share_changed=share).reindex(columns=COLUMNS)

@@ -79,6 +79,19 @@ def test_a_table_by_altitude_and_direction_holds_medians_shares_and_the_worst(fo
     assert table.regret_worst.max() > 0.001
 
 
+def test_the_verdict_counts_routes_that_cost_more_or_are_closed(maps, found):
+    (verdict,) = (each for each in found.decided.verdicts if each.kind.name == "ROUTES")
+    routes = found.routes[(found.routes.planned_on == "A") & found.routes.cost.notna()]
+    is_changed = (routes.regret > 1e-6) | (routes.is_closed == 1)
+    assert verdict.n == len(routes)
+    assert verdict.facts["count"] == is_changed.sum() > 0
+    assert verdict.size == pytest.approx(100 * is_changed.mean())
+    assert verdict.low <= verdict.size <= verdict.high
+    assert verdict.facts["apart_m"] == routes.apart_m[is_changed].max() > 10
+    same = ju.studies.compare(maps[0], maps[0], routes=NUM, progress=False).decided
+    assert "changes none of" in same.facts["decided"]
+
+
 def test_the_same_seed_draws_the_same_pairs_and_no_map_has_regrets_under_itself(maps, found):
     again = ju.studies.compare(*maps, routes=NUM, seed=3, progress=False)
     pd.testing.assert_frame_equal(again.routes, found.routes)
