@@ -36,7 +36,10 @@ from jaxurban.studies.route_pool import RoutePool
 from tests.made_maps import made_maps
 
 NUM_POPULATION = 6000  # groups
-NUM_PILOT = 400  # groups of the draw from which the spread of differences is known
+NUM_PILOT, NUM_PILOTS = (
+    400,
+    5,
+)  # groups of a draw from which the spread of differences is known, and such draws
 WRONG = 2.0  # factor of a wrong weight
 ALTITUDE_M = 60.0
 
@@ -85,7 +88,18 @@ class Case:
         """Return how many groups decide the smallest difference, as `runs_needed` says of its true size."""
         if self.is_equal:
             return FEWEST_GROUPS
-        pairs = self.ranking(np.random.default_rng(0), NUM_PILOT).pairs
+
+        # From a large pilot, and again from one of so many, as intervals of few groups are wider.
+        return self._runs_after(self._runs_after(NUM_PILOT))
+
+    def _runs_after(self, num_pilot: int) -> int:
+        """Return the stated number from the widths of intervals in studies of another number."""
+        rng = np.random.default_rng(0)
+        rankings = [self.ranking(rng, num_pilot).pairs for _ in range(NUM_PILOTS)]
+        return int(np.median([self._runs_of(pairs, num_pilot) for pairs in rankings]))
+
+    def _runs_of(self, pairs: pd.DataFrame, num_pilot: int) -> int:
+        """Return the stated number from the widths of intervals in one study."""
         half = (pairs.high - pairs.low) / 2
         if self.is_ratio:
             half = (np.log1p(pairs.high / 100) - np.log1p(pairs.low / 100)) / 2
@@ -96,7 +110,7 @@ class Case:
                 for a in row.first.split(" = ")
                 for b in row.second.split(" = ")
             )
-            reach = max(half_width * np.sqrt(NUM_PILOT), 1.0001 * size)  # of a single run
+            reach = max(half_width * np.sqrt(num_pilot), 1.0001 * size)  # of a single run
             if size and size == self.smallest:
                 needed.append(runs_needed(size, size - reach, size + reach, 1))
         return int(min(max(needed), NUM_POPULATION))

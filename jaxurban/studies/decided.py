@@ -186,7 +186,7 @@ def runs_needed(size: float, low: float, high: float, n: int) -> float:
 
 
 def effects(values: np.ndarray | pd.DataFrame, clusters: Clusters) -> pd.DataFrame:
-    """Return means with intervals that hold all at once: a row per column of the values.
+    """Return means with intervals that hold all at once: a row per column of the values, by its name.
 
     ``size``, ``low``, ``high``; ``n``, the number of groups; ``needed`` (`runs_needed`). Ends are NaN with fewer groups
     than `FEWEST_GROUPS`.
@@ -197,7 +197,7 @@ def effects(values: np.ndarray | pd.DataFrame, clusters: Clusters) -> pd.DataFra
     """
     table = pd.DataFrame(values)
     size = table.mean()
-    num = pd.Series(map(clusters.groups_of, table.notna().to_numpy().T), dtype=int)
+    num = table.notna().apply(lambda is_known: clusters.groups_of(is_known.to_numpy()))
     drawn = pd.DataFrame({name: clusters.drawn(table[name].to_numpy()) for name in table})
     spread = drawn.std(ddof=0)
 

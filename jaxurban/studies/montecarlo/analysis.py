@@ -167,8 +167,8 @@ def _changes(pairs: pd.DataFrame) -> dict[str, float]:
     table = effects(changes, Clusters(pairs.index.get_level_values("instance")))
     columns: dict[str, float] = {}
     rows: Any = table.itertuples()
-    for name, row in zip(changes, rows, strict=True):
-        columns |= named(f"{name}_change", Interval(row.size, row.low, row.high))
+    for row in rows:
+        columns |= named(f"{row.Index}_change", Interval(row.size, row.low, row.high))
     return columns
 
 
