@@ -157,7 +157,7 @@ def tune_command(
     # What is printed: the message, warnings that it does not hold, and the weights.
     log_lines(facts["decided"]["lines"])
     LOG.info(facts["message"])
-    for warning in facts.get("unidentified", []) + facts.get("warnings", []):
+    for warning in facts.get("warnings", []):
         if warning != facts["message"]:
             LOG.info(f"warning: {warning}")
     LOG.info(

@@ -1,6 +1,7 @@
 """report.md of a comparison of maps, with its table, difference maps and figures, all on one scale around zero."""
 
 import math
+import re
 from functools import partial
 from zlib import crc32
 
@@ -179,7 +180,7 @@ def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
     if len(changed):
         is_dust = changed[STATISTICS].abs() <= result.tolerance  # below the precision of a map
         changed[STATISTICS] = changed[STATISTICS].mask(is_dust, 0)
-        values = framed(changed.where(changed.notna(), ""))
+        values = framed(_in_percent(changed).where(changed.notna().to_numpy(), ""))
 
     pictures = [
         Markdown(f"![{plain(heading_of(result, name))}, B - A](figures/{plain(name)}.png)")
@@ -189,7 +190,7 @@ def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
     left_out = bullets(f"{name}: {why}" for name, why in result.left_out.items())
     return fill(
         "compare",
-        {"regrets": result.regrets},
+        {"regrets": _in_percent(result.regrets)},
         credits=[result.a.attribution, result.b.attribution],
         result=result,
         lines=first_lines(result.decided.facts),
@@ -199,6 +200,17 @@ def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
         unchanged=f"The same in both: {joined_with_and(same)}." if same else "",
         left_out=paragraphs("Not compared:", left_out) if left_out else "",
         pictures=paragraphs(*pictures) or "None: a layer is drawn where it differs.",
+    )
+
+
+def _in_percent(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with its shares, and the ends of their intervals, as percentages."""
+    shown = table.copy()
+    for name in map(str, table):
+        if re.match("(closed|regret|share)(?!_m)", name):
+            shown[name] = 100 * table[name]
+    return shown.rename(
+        columns=lambda name: re.sub("^(closed|regret|share)(?!_m)", r"\1 (%)", name)
     )
 
 

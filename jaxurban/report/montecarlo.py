@@ -1,6 +1,6 @@
 """report.md of a Monte Carlo benchmark of planners, with its tables and figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import pandas as pd
@@ -18,15 +18,9 @@ from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.sampling import KEY, query_columns
 from jaxurban.studies.montecarlo.study import BenchmarkResult
 
-# The column of each table that counts runs, and columns that the report has in percent, above 1 (ratios) or 0 (shares).
-COUNTS = {"success": "joined", "costs": "paths", "times": "runs", "usage": "instances"}
+# The column of each table that counts runs.
+COUNTS = {"success": "joined", "times": "runs", "objectives": "pairs"}
 NUM_DRAWN = 4  # routes of a picture
-PERCENT = {
-    "costs": {"median": 1.0, "p90": 1.0, "worst": 1.0, "best_share": 0.0},
-    "usage": {"detour": 1.0},
-    "objectives": {"cost_ratio": 1.0, "length_ratio": 1.0},
-    "complementarity": {"gps_serves": 0.0, "lidar_serves": 0.0, "either_serves": 0.0},
-}
 
 
 def benchmark_outputs(result: BenchmarkResult) -> Written:
@@ -76,9 +70,7 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
         "ranks": pd.concat([each.table for each in rankings]),
         "pairs": pd.concat([each.pairs.assign(measure=each.measure) for each in rankings]),
         "success": analysis.success(table),
-        "costs": analysis.costs(table),
         "times": analysis.times(table),
-        "usage": analysis.usage(table),
         "objectives": analysis.objectives(table),
     }
     if set(analysis.SENSORS) <= set(result.maps.metrics):
@@ -98,16 +90,15 @@ def report_markdown(
       tables: from `tables_of`.
       figures: names of the pictures that lie beside the report.
     """
-    # What has enough runs, shares in percent. Of the joined pairs that were solved: a row per planner and range, a
-    # column per altitude.
+    # What has enough runs; of the joined pairs that were solved the percentages: a row per planner and range, a column
+    # per altitude.
     shown = dict(tables)
     for name, num in COUNTS.items():
-        shown[name] = tables[name].query(f"{num} >= {FEWEST_RUNS}")
+        if len(shown[name]):
+            shown[name] = shown[name].query(f"{num} >= {FEWEST_RUNS}")
     success = shown["success"]
     solved = success.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
     shown["success"] = (100 * solved).rename(columns=lambda z: f"{z:g} m (%)").reset_index()
-    for name in tables.keys() & PERCENT.keys():
-        shown[name] = _in_percent(shown[name], PERCENT[name])
 
     # The share of pairs of places that some path joins, by altitude, and the budget of a run in words.
     table = result.table
@@ -139,18 +130,3 @@ def report_markdown(
         fewest_runs=FEWEST_RUNS,
         lines=first_lines(result.decided.facts),
     )
-
-
-def _in_percent(table: pd.DataFrame, columns: Mapping[str, float]) -> pd.DataFrame:
-    """Return a table with columns, and the ends of their intervals, as percentages above a number.
-
-    Args:
-      table: some of whose columns are shares or ratios.
-      columns: their names, and the number of each: 0 of a share, 1 of a ratio.
-    """
-    for name, base in columns.items():
-        ends = [f"{name}{end}" for end in ("", "_low", "_high") if f"{name}{end}" in table]
-        table = table.assign(**{end: 100 * (table[end] - base) for end in ends})
-        title = f"{name.removesuffix('_ratio').removesuffix('_share')} (%)"
-        table = table.rename(columns={end: end.replace(name, title, 1) for end in ends})
-    return table

@@ -7,7 +7,6 @@ from itertools import chain, compress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
@@ -49,7 +48,6 @@ from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.parquet"
 TABLES = "learning_curve", "fits", "targets", "tested", "weights", "examples"
-EXPLAINED = 1e-4  # a demonstration within this share of the cheapest route is explained
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
 
 
@@ -341,7 +339,6 @@ def outputs_of(
         weights = fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
-        tables["regrets"] = _regrets(fit)
         fields |= {"fits": "", "cautions": bullets(fit.cautions)}
         if result is not None:
             outputs["fits"] = result.table
@@ -407,22 +404,6 @@ def _pictures(demonstrations: Sequence[Demonstration]) -> dict[str, CostMap]:
     return {f"routes_{number}": each for number, each in enumerate(cost_maps, start=1)}
 
 
-def _regrets(fit: WeightFit) -> pd.DataFrame:
-    """Return statistics of the regrets in one row: by what share a route costs more than the cheapest one.
-
-    Costs are those under the fitted weights; ``explained`` counts routes whose regret is at most `EXPLAINED`.
-    """
-    regret = fit.regret
-    facts = {
-        "explained": (regret <= EXPLAINED).sum(),
-        "mean": regret.mean(),
-        "median": np.median(regret),
-        "largest": regret.max(),
-        "least mean found": fit.best_mean_regret,
-    }
-    return pd.DataFrame([facts])
-
-
 def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
     """Return a table of what routes were planned under: a row per map of the cost."""
     rows = [
@@ -449,10 +430,7 @@ def _means(routes: pd.DataFrame) -> pd.DataFrame:
 
 
 def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
-    """Return what ``--json`` says of a fit to routes or to targets, by name.
-
-    ``interval``: ends of the interval of each weight; None where no weight has one.
-    """
+    """Return what ``--json`` says of a fit to routes or to targets, by name."""
     facts = {
         "folder": str(folder),
         "message": fit.sentence,
@@ -462,13 +440,10 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "elapsed_s": fit.elapsed_s,
     }
     if isinstance(fit, WeightFit):
-        ends = fit.table[["low", "high"]]
         return facts | {
-            "interval": ends.T.to_dict("list") if ends.notna().any(axis=None) else None,
             "mean_regret": float(fit.regret.mean()),
             "best_mean_regret": fit.best_mean_regret,
             "is_settled": fit.is_settled,
-            "unidentified": list(fit.unidentified),
             "warnings": list(fit.warnings),
         }
     return facts | {

@@ -6,16 +6,16 @@ whose values are sentences with places for the record's fields (`Verdict.sentenc
 
 Alternatives (planners, weights) are compared two by two on the same runs, and all differences of one call have
 intervals that are simultaneous: with 95 % none of them misses its truth. So whichever of them a report selects, it may
-say. One alternative is before another where their interval excludes 0, or where a third lies between them. Its rank is
-1 and the number of those before it, so what cannot be told apart by any chain shares a rank (Mogstad et al., Rev. Econ.
-Stud. 91, 2024). The half-width is a quantile of the largest deviation among all differences, each in its standard
-errors over bootstrap draws of whole groups, which Student's t widens for few groups.
+say. The rank of an alternative is 1 and the number of those that are before it, of which the interval excludes 0; what
+cannot be told apart shares a rank (Mogstad et al., Rev. Econ. Stud. 91, 2024). The half-width is a quantile of the
+largest deviation among all differences, each in its standard errors over bootstrap draws of whole groups, which
+Student's t widens for few groups.
 """
 
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -24,14 +24,15 @@ import pandas as pd
 import shapely
 from scipy import ndimage, special
 
+from jaxurban.io.tables import records_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.public import FactsRepr
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, NUM_DRAWS, Clusters
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Clusters
 from jaxurban.world.grid import Grid
 
 FEWEST_RUNS = 10  # of a stratum of which something is said
 FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effect
-MOST_RUNS = 100_000  # more are called "no number"
+MOST_RUNS = 1e6  # more are called "no number"
 SAME = 1e-9  # relative, and in the unit of the values: what differs by less is equal
 EDGE_CELLS = 3  # a route this near to the border of the data may be what the border made it
 USUAL_SHARE, FEWEST_TO_HOLD_OUT = (
@@ -103,14 +104,6 @@ class Verdict:
             return f"{sentence}; no number of {self.noun} would change that"
         return f"{sentence}; some {self.needed:,.0f} {self.noun} would decide so large an effect"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the record as plain, JSON-ready values; what is not a finite number is None."""
-        record = asdict(self) | {"kind": self.kind.name.lower(), "is_decided": self.is_decided}
-        return {
-            name: None if isinstance(value, float) and not math.isfinite(value) else value
-            for name, value in record.items()
-        }
-
 
 @dataclass(frozen=True, repr=False)
 class Conclusion(FactsRepr):
@@ -136,9 +129,13 @@ class Conclusion(FactsRepr):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Return lines and records as plain, JSON-ready values."""
-        records = [verdict.to_dict() for verdict in self.verdicts]
-        return {"lines": self.facts, "verdicts": records}
+        """Return lines and records as plain, JSON-ready values; a number that is not finite is None."""
+        records = [
+            {**vars(each), "kind": each.kind.name.lower(), "is_decided": each.is_decided}
+            for each in self.verdicts
+        ]
+        table = pd.DataFrame(records).replace([np.inf, -np.inf], np.nan)
+        return {"lines": self.facts, "verdicts": records_of(table)}
 
 
 def _line(verdicts: Sequence[Verdict]) -> str:
@@ -171,7 +168,7 @@ def runs_needed(size: float, low: float, high: float, n: int) -> float:
     """Return how many runs would decide whether an effect differs from 0, if it is as large as it was found to be.
 
     So many that the interval excludes 0 in `FOUND_SHARE` of the studies, to two figures; 0 if it does already; inf for
-    an effect of 0, and beyond `MOST_RUNS`. Of fewer runs than have an interval: as many as one takes.
+    an effect of 0. Without an interval as many as one takes.
 
     Args:
       size, low, high: of the effect and the ends of its interval; NaN where there is none.
@@ -179,23 +176,17 @@ def runs_needed(size: float, low: float, high: float, n: int) -> float:
     """
     if low > 0 or high < 0:
         return 0.0
-    if size == 0 and not high > low:
-        return math.inf if n >= FEWEST_GROUPS else FEWEST_GROUPS
-    if math.isnan(low) or math.isnan(high):
+    if math.isnan(low):
         return max(FEWEST_GROUPS, n + 1)
-    if size == 0:
-        return math.inf
-    half = (high - low) / 2
     further = 1 + special.ndtri(FOUND_SHARE) / special.ndtri((1 + LEVEL) / 2)
-    runs = max(n + 1, n * (further * half / abs(size)) ** 2)
-    if runs > MOST_RUNS:
+    half = further * (high - low) / 2
+    if abs(size) * math.sqrt(MOST_RUNS) <= half * math.sqrt(n):
         return math.inf
-    digit = 10 ** max(0, math.floor(math.log10(runs)) - 1)
-    return float(math.ceil(runs / digit) * digit)
+    return max(n + 1.0, float(f"{n * (half / size) ** 2:.2g}"))
 
 
-def effects(values: np.ndarray, clusters: Clusters) -> pd.DataFrame:
-    """Return means with intervals that hold all at once: a row per column of the values.
+def effects(values: np.ndarray | pd.DataFrame, clusters: Clusters) -> pd.DataFrame:
+    """Return means with intervals that hold all at once: a row per column of the values, by its name.
 
     ``size``, ``low``, ``high``; ``n``, the number of groups; ``needed`` (`runs_needed`). Ends are NaN with fewer groups
     than `FEWEST_GROUPS`.
@@ -204,30 +195,23 @@ def effects(values: np.ndarray, clusters: Clusters) -> pd.DataFrame:
       values: ``[N, P]`` in the order of the groups; NaN does not count.
       clusters: draws of the groups of the ``N`` values.
     """
-    num = np.array([clusters.groups_of(is_known) for is_known in ~np.isnan(values).T])
-    size = np.array(
-        [np.nanmean(each) if count else np.nan for each, count in zip(values.T, num, strict=True)]
-    )
-    drawn = np.array([clusters.drawn(column) for column in values.T]).reshape(-1, NUM_DRAWS)
-    spread = np.array(
-        [np.nanstd(each) if count else 0.0 for each, count in zip(drawn, num, strict=True)]
-    )
-    has_interval = num >= FEWEST_GROUPS
+    table = pd.DataFrame(values)
+    size = table.mean()
+    num = table.notna().apply(lambda is_known: clusters.groups_of(is_known.to_numpy()))
+    drawn = pd.DataFrame({name: clusters.drawn(table[name].to_numpy()) for name in table})
+    spread = drawn.std(ddof=0)
 
     # The largest deviation of each draw, in standard errors of its column, and its quantile; then, for each column, the
     # same level of Student's t.
-    varies = has_interval & (spread > SAME * np.abs(size))
-    reach = 0.0
-    if varies.any():
-        deviation = np.abs(drawn[varies] - size[varies, None]) / spread[varies, None]
-        reach = float(np.quantile(np.nanmax(deviation, axis=0), LEVEL))
-    groups = np.maximum(num, 2)
-    student = special.stdtrit(groups - 1, special.ndtr(reach)) * np.sqrt(groups / (groups - 1))
-    half = np.where(varies, student * spread, 0.0)
-    half[~has_interval] = np.nan
-    table = pd.DataFrame({"size": size, "low": size - half, "high": size + half, "n": num})
-    rows = zip(table["size"], table.low, table.high, table.n, strict=True)
-    return table.assign(needed=[runs_needed(*row) for row in rows])
+    has_interval = num >= FEWEST_GROUPS
+    varies = has_interval & (spread > SAME * size.abs())
+    largest = ((drawn - size) / spread).loc[:, varies].abs().max(axis=1)
+    student = special.stdtrit(num.clip(lower=2) - 1, special.ndtr(largest.quantile(LEVEL)))
+    half = student * spread * np.sqrt(num / (num - 1).clip(lower=1))
+    half = half.where(varies, 0.0).where(has_interval)
+    ends = {"size": size, "low": size - half, "high": size + half, "n": num}
+    result = pd.DataFrame(ends)
+    return result.assign(needed=[runs_needed(*row) for row in result.itertuples(index=False)])
 
 
 class Measure(NamedTuple):
@@ -253,19 +237,19 @@ class Ranking:
     Attributes:
       measure: what they are compared by.
       names: the alternatives, the best first; those that are equal on all runs stand as one, ``"a = b"``.
-      ranks: of each name, from 1; what cannot be told apart shares a rank.
-      equal: names of the alternatives that are one, for each such group.
+      equal: the names of these, for each such group.
       pairs: a row for each two names: ``first``, ``second`` (the worse one on average), ``size`` (second over first,
-        from 0 up), ``low``, ``high``, ``n``, ``needed`` and ``is_before`` (first comes before second).
+        from 0 up), ``low``, ``high``, ``n`` and ``needed``; first is before second where this is 0.
       unit: of the sizes.
+      n: number of groups of runs.
     """
 
     measure: str
     names: tuple[str, ...]
-    ranks: Mapping[str, int]
     equal: tuple[tuple[str, ...], ...]
     pairs: pd.DataFrame
     unit: str
+    n: int
 
     @property
     def table(self) -> pd.DataFrame:
@@ -274,11 +258,13 @@ class Ranking:
         The ends of the interval are ``behind_low`` and ``behind_high``; the first one has no numbers.
         """
         columns = {"size": "behind", "low": "behind_low", "high": "behind_high"}
-        pairs = self.pairs[self.pairs["first"] == self.names[0]].rename(columns=columns)
-        behind = pairs.set_index("second").reindex(self.names)[[*columns.values(), "n"]]
-        ranks = [self.ranks[name] for name in self.names]
-        head = {"measure": self.measure, "rank": ranks, "name": self.names}
-        return pd.DataFrame(head).join(behind.reset_index(drop=True)).assign(unit=self.unit)
+        behind = self.pairs[self.pairs["first"] == self.names[0]].set_index("second")
+        num_before = self.pairs[self.pairs.needed == 0].second.value_counts()
+        table = behind.reindex(self.names).rename(columns=columns)[[*columns.values(), "n"]]
+        rank = 1 + num_before.reindex(self.names, fill_value=0)
+        table = table.assign(measure=self.measure, rank=rank, name=self.names, unit=self.unit)
+        shown = ["measure", "rank", "name", *columns.values(), "unit", "n"]
+        return table.sort_values("rank", kind="stable")[shown]
 
     def verdicts(self, before: Enum, noun: str, tied: Enum = SharedVerdict.TIED) -> list[Verdict]:
         """Return what the ranks say: who is behind whom, who is equal, and who cannot be told apart.
@@ -288,47 +274,40 @@ class Ranking:
           noun: what runs are.
           tied: kind of those that cannot be told apart; ``{size}`` is between the outermost of them.
         """
-        # Of each name behind another its largest difference to one before it.
-        decided = self.pairs[self.pairs.needed == 0].sort_values("size", ascending=False)
-        behind = decided.drop_duplicates("second").iloc[::-1]
-        verdicts = [self._verdict(before, row, noun) for row in behind.itertuples()]
-        counts = int(self.pairs.n.max()) if len(self.pairs) else 0
+        # Of each name behind another its largest difference to one before it; then names that are tied.
+        decided = self.pairs[self.pairs.needed == 0].sort_values("size")
+        pairs: Any = decided.drop_duplicates("second", keep="last").itertuples()
+        behind = ((before, (row.first, row.second), row) for row in pairs)
+        rows = [*behind, *((tied, names, row) for names, row in self._tied())]
+        facts = {"measure": self.measure}
+        verdicts = []
+        for kind, what, row in rows:
+            size = row.size, row.low, row.high
+            verdicts.append(Verdict(kind, what, *size, row.n, self.unit, noun, row.needed, facts))
+
+        # And those that are equal.
+        needed = math.inf if self.n >= FEWEST_GROUPS else FEWEST_GROUPS
         verdicts += [
-            Verdict(
-                SharedVerdict.EQUAL,
-                names,
-                0.0,
-                n=counts,
-                noun=noun,
-                needed=math.inf,
-                facts={"measure": self.measure},
-            )
-            for names in self.equal
+            Verdict(SharedVerdict.EQUAL, each, 0.0, n=self.n, noun=noun, needed=needed, facts=facts)
+            for each in self.equal
         ]
-        for names in self._tied():
-            is_outermost = (self.pairs["first"] == names[0]) & (self.pairs.second == names[-1])
-            (row,) = self.pairs[is_outermost].itertuples()
-            verdicts.append(self._verdict(tied, row, noun, names))
         return verdicts
 
-    def _verdict(self, kind: Enum, pair: Any, noun: str, what: Sequence[str] = ()) -> Verdict:
-        """Return the record of a pair, of the names ``what`` where there are more than its two."""
-        names = tuple(what) or (pair.first, pair.second)
-        size = pair.size, pair.low, pair.high
-        facts = {"measure": self.measure}
-        return Verdict(kind, names, *size, int(pair.n), self.unit, noun, pair.needed, facts)
-
-    def _tied(self) -> Iterator[tuple[str, ...]]:
-        """Yield the largest sets of names of which none comes before another, each in the order of the names."""
-        rows = self.pairs[~self.pairs.is_before]
-        open_pairs = set(zip(rows["first"], rows.second, strict=True))
-        larger: list[set[str]] = []
-        for size in range(len(self.names), 1, -1):
-            for names in itertools.combinations(self.names, size):
-                is_part = any(each.issuperset(names) for each in larger)
-                if not is_part and open_pairs.issuperset(itertools.combinations(names, 2)):
-                    larger.append(set(names))
-                    yield names
+    def _tied(self) -> Iterator[tuple[tuple[str, ...], Any]]:
+        """Yield names that follow each other, as many as have no decided pair, and the pair of the outermost."""
+        pair_of = {frozenset((row.first, row.second)): row for row in self.pairs.itertuples()}
+        end = 0
+        for begin in range(len(self.names)):
+            stop = begin + 1
+            for name in self.names[stop:]:
+                others = self.names[begin:stop]
+                if not all(pair_of[frozenset((name, other))].needed for other in others):
+                    break
+                stop += 1
+            if stop > max(end, begin + 1):
+                names = self.names[begin:stop]
+                yield names, pair_of[frozenset((names[0], names[-1]))]
+            end = max(end, stop)
 
 
 def ranked(measures: Mapping[str, Measure], clusters: Clusters) -> dict[str, Ranking]:
@@ -338,107 +317,72 @@ def ranked(measures: Mapping[str, Measure], clusters: Clusters) -> dict[str, Ran
       measures: by name, of the same ``N`` runs.
       clusters: draws of the groups of the runs, such as pairs of places at several altitudes.
     """
-    # Of each measure the names, the best first, and the differences [N] of each two of them, worse over better.
-    parts = {}
-    columns = [np.empty((len(next(iter(measures.values())).values), 0))]
+    # Of each measure its values, less being better; and the differences [N] of each two alternatives, worse over better
+    # on average, 0 where they are the same to the precision of a sum.
+    columns = {}
+    equal = {}
+    keys: list[tuple] = []
+    differences: dict[int, np.ndarray] = {}
     for name, measure in measures.items():
-        values, equal = _without_equal(measure)
-        names = [*map(str, values)]
-        pairs = list(itertools.combinations(names, 2))
-        parts[name] = names, equal, pairs
-        columns += [_difference(measure, values[a], values[b])[:, None] for a, b in pairs]
-    table = effects(np.hstack(columns), clusters)
+        values = -measure.values if measure.is_better_high else measure.values
+        if measure.is_ratio:
+            values = values.map(math.log)
+        columns[name], equal[name] = _without_equal(values)
+        for first, second in itertools.combinations(columns[name], 2):
+            sides = columns[name][first], columns[name][second]
+            change = np.where(np.isclose(*sides, SAME, SAME), 0.0, sides[1] - sides[0])
+            differences[len(keys)] = change
+            keys.append((name, first, second))
+    table = pd.DataFrame(keys, columns=["measure", "first", "second"])
+    table = table.join(effects(pd.DataFrame(differences), clusters))
+
+    # Over the runs that both have the order may be another one.
+    is_turned = table["size"] < 0
+    for one, other in (("first", "second"), ("low", "high")):
+        table.loc[is_turned, [one, other]] = table.loc[is_turned, [other, one]].to_numpy()
+    table.loc[is_turned, ["size", "low", "high"]] *= -1
     result = {}
-    for name, (names, equal, pairs) in parts.items():
-        of_measure, table = table[: len(pairs)], table[len(pairs) :]
-        result[name] = _ranking(name, measures[name], names, equal, pairs, of_measure)
+    for name, measure in measures.items():
+        pairs = table[table.measure == name].drop(columns="measure")
+        if measure.is_ratio:
+            pairs[["size", "low", "high"]] = 100 * np.expm1(pairs[["size", "low", "high"]])
+        names = tuple(map(str, columns[name]))
+        result[name] = Ranking(name, names, equal[name], pairs, measure.unit, clusters.num_groups)
     return result
 
 
-def _ranking(
-    name: str,
-    measure: Measure,
-    names: Sequence[str],
-    equal: Sequence[tuple[str, ...]],
-    pairs: Sequence[tuple[str, str]],
-    of_pairs: pd.DataFrame,
-) -> Ranking:
-    """Return the groups of ranks by one measure.
-
-    Args:
-      name: of the measure.
-      measure: decides the unit.
-      names, equal: as `Ranking` has them.
-      pairs: each two of the names.
-      of_pairs: a row for each pair, from `effects`; of ratios logarithms.
-    """
-    # The first of a pair is the better one on average over the runs that both have.
-    table = of_pairs.reset_index(drop=True).assign(
-        first=[pair[0] for pair in pairs], second=[pair[1] for pair in pairs]
-    )
-    is_turned = table["size"] < 0
-    table.loc[is_turned, ["first", "second"]] = table.loc[is_turned, ["second", "first"]].to_numpy()
-    table.loc[is_turned, ["low", "high"]] = -table.loc[is_turned, ["high", "low"]].to_numpy()
-    table["size"] = table["size"].abs()
-    if measure.is_ratio:
-        table[["size", "low", "high"]] = 100 * np.expm1(table[["size", "low", "high"]])
-
-    # [A, A] who comes before whom, also by way of others.
-    place = {each: number for number, each in enumerate(names)}
-    first = table["first"].map(place).to_numpy(int)
-    second = table.second.map(place).to_numpy(int)
-    before = np.zeros((len(names), len(names)), bool)
-    before[first, second] = table.needed == 0
-    for middle in range(len(names)):
-        before |= before[:, [middle]] & before[[middle], :]
-    ranks = dict(zip(names, (1 + before.sum(axis=0)).tolist(), strict=True))
-    order = sorted(names, key=lambda each: (ranks[each], place[each]))
-    table = table.assign(is_before=before[first, second] | before[second, first])
-    return Ranking(name, tuple(order), ranks, tuple(equal), table, measure.unit)
+def _without_equal(values: pd.DataFrame) -> tuple[pd.DataFrame, tuple[tuple[str, ...], ...]]:
+    """Return values, the least first, with one column for those that are equal on all runs, and the names of these."""
+    groups: dict[str, list[str]] = {}
+    for name in map(str, values):
+        same = [
+            each for each in groups if np.allclose(values[each], values[name], SAME, SAME, True)
+        ]
+        groups.setdefault(same[0] if same else name, []).append(name)
+    merged = values[[*groups]].rename(columns={each: " = ".join(groups[each]) for each in groups})
+    order = merged.mean().sort_values(kind="stable").index
+    return merged[order], tuple(tuple(each) for each in groups.values() if len(each) > 1)
 
 
-def _difference(measure: Measure, first: pd.Series, second: pd.Series) -> np.ndarray:
-    """Return ``[N]`` by how much the second is worse; 0 where both are the same to the precision of a sum."""
-    sign = -1.0 if measure.is_better_high else 1.0
-    change = np.log(second / first) if measure.is_ratio else second - first
-    is_same = np.isclose(first, second, rtol=SAME, atol=SAME)
-    return np.where(is_same, 0.0, sign * change)
-
-
-def _without_equal(measure: Measure) -> tuple[pd.DataFrame, list[tuple[str, ...]]]:
-    """Return the values with one column for those that are equal on all runs, the best first, and their names."""
-    groups: list[list[str]] = []
-    for name in measure.values:
-        column = measure.values[name]
-        for group in groups:
-            other = measure.values[group[0]]
-            if np.isclose(column, other, rtol=SAME, atol=SAME, equal_nan=True).all():
-                group.append(str(name))
-                break
-        else:
-            groups.append([str(name)])
-    values = pd.DataFrame({" = ".join(group): measure.values[group[0]] for group in groups})
-    order = values.mean().sort_values(ascending=not measure.is_better_high, kind="stable").index
-    return values[order], [tuple(group) for group in groups if len(group) > 1]
-
-
-def next_step(
+def concluded(
     verdicts: Sequence[Verdict], *, more: str, done: str, wider: str = "", factor: float = 1.0
-) -> str:
-    """Return the command that decides the next thing, or uses what is decided.
+) -> Conclusion:
+    """Return a study's verdicts with the command that decides the next thing, or uses what is decided.
 
     Args:
-      verdicts: of a study.
-      more: of more runs, with a place for ``{needed}``: the fewest that would decide one of the verdicts.
+      verdicts: the most important first.
+      more: command of more runs, with a place for ``{needed}``: the fewest that would decide one of the verdicts.
       done: where nothing is left that a study of this kind decides.
       wider: of maps of wider bounds, where only they would decide.
       factor: how many runs the command makes for each one that counts.
     """
+    command = done
+    if any(each.kind is SharedVerdict.BORDER for each in verdicts):
+        command = wider
     needed = [each.needed for each in verdicts if 0 < each.needed < math.inf]
     if needed:
-        return more.format(needed=math.ceil(factor * min(needed)))
-    is_pinned = any(each.kind is SharedVerdict.BORDER for each in verdicts)
-    return wider if is_pinned else done
+        command = more.format(needed=math.ceil(factor * min(needed)))
+    return Conclusion(tuple(verdicts), command)
 
 
 def edge_band(maps: MetricMaps, cells: int = EDGE_CELLS) -> np.ndarray:

@@ -214,7 +214,7 @@ class MapComparison(Result):
         if is_changed.any() and kept.n:
             kind = MapVerdict.KEPT_OPEN if kept.needed else MapVerdict.KEPT
             size = kept["size"], kept.low, kept.high
-            yield Verdict(kind, (), *size, int(kept.n), "%", needed=kept.needed)
+            yield Verdict(kind, (), *size, int(kept.n), "%", "pairs", kept.needed)
         yield from border_verdict(routes.at_edge.to_numpy() > 0)
 
     @property

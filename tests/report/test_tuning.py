@@ -52,16 +52,16 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
             > 0
         )
     report = (out / "report.md").read_text()
-    assert report.splitlines()[2] == f"**{facts['message']}**"
+    for line, name in zip(
+        report.splitlines()[2:5], ("Decided", "Not decided", "Next"), strict=True
+    ):
+        assert line.startswith(f"- **{name}**: ")
+    assert report.splitlines()[6] == f"**{facts['message']}**"
     assert (out / "weights.toml").read_text().startswith(f"# {facts['message']}\n")
     parts = [line.removeprefix("## ") for line in report.splitlines() if line.startswith("## ")]
-    assert parts[:4] == [
-        "What the routes say",
-        "Fitted weights",
-        "Routes under the weights",
-        "How sure",
-    ]
-    assert parts[4:] == ["How to use the weights", "Files"]
+    assert parts[:3] == ["Fitted weights", "Routes under the weights", "Fits compared"]
+    assert parts[3:] == ["How sure", "How to use the weights", "Files"]
+    assert "4 of 16 routes were held out" in report
     assert report.count("© a made city") == 1
     for figure in ("weights", "routes_1"):
         assert (out / "figures" / f"{figure}.png").is_file()
@@ -77,8 +77,13 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
         "risk",
     ]
 
+<<<<<<< HEAD
     again = facts_of(capsys, *made, "-o", out, "--fit", "bootstrap=20")
     assert (again["weights"], again["interval"]) == (facts["weights"], facts["interval"])
+=======
+    again = facts_of(capsys, *made, "-o", out, "--bootstrap", 20)
+    assert (again["weights"], again["decided"]) == (facts["weights"], facts["decided"])
+>>>>>>> decided
     assert_refused(
         run(capsys, "tune", *made, "-o", out, "--fit", "seed=1"),
         "another file or folder",
@@ -108,6 +113,10 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     report = (tmp_path / "out" / "report.md").read_text()
     assert (report.count(facts["message"]), report.count("© a made city")) == (1, 1)
     assert len(pd.read_csv(tmp_path / "out" / "targets.csv")) == 2
+    tested = pd.read_csv(tmp_path / "out" / "tested.csv").set_index("what")
+    assert [*tested.index] == ["mean_gps >= 0.999", "detour <= 0.3", "length_m"]
+    assert "Means over 4 routes, of which the fit saw none" in report
+    assert "as given" not in report
 
 
 @pytest.mark.parametrize(

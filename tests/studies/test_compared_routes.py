@@ -119,4 +119,4 @@ def test_the_command_reports_regrets_and_writes_every_route(maps, tmp_path, caps
     assert len(pd.read_csv(tmp_path / "out/tables/routes.csv")) == 2 * 2 * 12
     report = (tmp_path / "out/report.md").read_text()
     assert "free in both were drawn at each altitude (seed 3)" in report
-    assert "| altitude_m | planned_on | judged_on | routes | closed |" in report
+    assert "| altitude_m | planned_on | judged_on | routes | closed (%) |" in report

@@ -5,7 +5,6 @@ import pytest
 
 import jaxurban as ju
 from benchmarks.movingai import export_benchmark
-from jaxurban.report.montecarlo import report_markdown, tables_of
 from jaxurban.report.sensitivity import sensitivity_markdown
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.montecarlo.trial import row_columns
@@ -53,7 +52,6 @@ def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_expo
     assert list(found.rows) == list(row_columns(found.instances.columns))
     assert {*found.rows} == {*row_columns(), "m_noise"}
     assert found.rows.m_noise[found.rows.cost.notna()].between(0, 1).all()
-    assert "m_noise" in report_markdown(found, tables_of(found))
     export_benchmark(
         noisy, found.instances, found.rows, tmp_path / "b", found.settings, "loud-city"
     )

@@ -7,6 +7,7 @@ benchmark's cost model.
 
 from collections.abc import Sequence
 from enum import Enum
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,14 +22,13 @@ from jaxurban.studies.decided import (
     Ranking,
     SharedVerdict,
     border_verdict,
-    next_step,
+    concluded,
+    effects,
     ranked,
 )
 from jaxurban.studies.montecarlo.sampling import KEY, RANGES
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
-CLOSE = 1.01  # ratio that counts as the best
-OFTEN = 0.8  # least share of joined pairs solved for a planner's metrics to be compared
 SENSORS = ("gps", "lidar")  # the metrics of two sensors that may complement each other
 GOOD = 0.5  # a sensor serves where its m is at least this
 TILE_M = 500.0  # cells nearer than this are much alike, so whole tiles are drawn
@@ -108,47 +108,6 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     return result.reset_index()
 
 
-def costs(table: pd.DataFrame) -> pd.DataFrame:
-    """Return how far above the cheapest path known each planner's paths are, a row per planner and altitude.
-
-    ``paths`` counts them; ``median``, ``p90`` and ``worst`` are of their ratios; ``best_share`` is the share with a
-    ratio of at most 1.01.
-
-    Args:
-      table: from `with_instances`; only paths of the weighted objective count.
-    """
-    rows = weighted_rows(table)
-    rows = rows[rows.has_path]
-    grouped = rows.groupby(["planner", "altitude_m"]).ratio
-    return grouped.agg(
-        paths="size",
-        median="median",
-        p90=lambda ratio: ratio.quantile(0.9),
-        worst="max",
-        best_share=lambda ratio: (ratio <= CLOSE).mean(),
-    ).reset_index()
-
-
-def usage(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the means of length, detour and m of each metric along paths, by planner, objective and altitude.
-
-    Only instances that all of these planners solved count, so that means compare like with like; ``instances`` is their
-    number. A planner that solves fewer than four joined pairs in five is left out, since it solves the easy ones.
-
-    Args:
-      table: from `with_instances`.
-    """
-    # The planners that solve most joined pairs, and the instances and altitudes at which all of their runs have a path.
-    solved = weighted_rows(table[table.is_joined]).groupby("planner").has_path.mean()
-    table = table[table.planner.isin(solved.index[solved >= OFTEN])]
-    num_runs = len(table[["planner", "objective"]].drop_duplicates())
-    result = table[table.has_path]
-    result = result[result.groupby(KEY).has_path.transform("size") == num_runs]
-    runs = result.groupby(["planner", "objective", "altitude_m"])
-    means = runs[[*fact_columns(result), "detour"]].mean()
-    return means.assign(instances=runs.size()).reset_index()
-
-
 def times(table: pd.DataFrame) -> pd.DataFrame:
     """Return seconds, expansions and samples of each planner, a row per planner and altitude.
 
@@ -172,9 +131,9 @@ def times(table: pd.DataFrame) -> pd.DataFrame:
 def objectives(table: pd.DataFrame) -> pd.DataFrame:
     """Return what it costs to fly the shortest path instead of the cheapest one, a row per planner and altitude.
 
-    Distance-only runs are compared with weighted runs of the same planner. ``cost_ratio`` and ``length_ratio`` are
-    geometric means of distance-only over weighted; ``m_NAME_change`` is the mean difference of a metric, distance-only
-    less weighted. Each has its 95 % interval over instances. The table is empty where no planner ran both ways.
+    Distance-only runs are compared with weighted runs of the same planner: ``cost_change`` in percent,
+    ``length_m_change`` in metres and ``m_NAME_change`` are means of distance-only less weighted, each with its 95 %
+    interval over instances. The table is empty where no planner ran both ways.
 
     Args:
       table: from `with_instances`.
@@ -194,29 +153,22 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _changes(pairs: pd.DataFrame) -> dict[str, float]:
-    """Return how the shortest paths differ from the cheapest ones: means with their intervals over instances.
+    """Return how the shortest paths differ from the cheapest ones: means with intervals that hold at once.
 
-    Costs and lengths are compared by their ratio (``cost_ratio``, ``length_ratio``), metrics by their difference
-    (``m_NAME_change``). A number that some path lacks, or whose ratio is not finite, has no columns.
+    Each is a column ``NAME_change``, that of the cost in percent. A number that some path lacks has none.
 
     Args:
       pairs: a row per instance, indexed by `KEY`; columns of two levels, a number of a path and the objective.
     """
-    clusters = Clusters(pairs.index.get_level_values("instance"))
+    names = pairs.columns.unique(0)
+    changes = pd.DataFrame({name: pairs[name, DISTANCE] - pairs[name, WEIGHTED] for name in names})
+    changes["cost"] *= 100 / pairs["cost", WEIGHTED]
+    changes = changes.dropna(axis=1)
+    table = effects(changes, Clusters(pairs.index.get_level_values("instance")))
     columns: dict[str, float] = {}
-    for name in pairs.columns.unique(0):
-        shortest = pairs[name, DISTANCE]
-        cheapest = pairs[name, WEIGHTED]
-        is_ratio = name in ("cost", "length_m")
-        change = np.log(shortest / cheapest) if is_ratio else shortest - cheapest
-        if not np.isfinite(change).all():
-            continue
-        interval = clusters.interval(change)
-        if is_ratio:
-            ratios = Interval(*np.exp(interval).tolist())
-            columns |= named(f"{name.removesuffix('_m')}_ratio", ratios)
-        else:
-            columns |= named(f"{name}_change", interval)
+    rows: Any = table.itertuples()
+    for row in rows:
+        columns |= named(f"{row.Index}_change", Interval(row.size, row.low, row.high))
     return columns
 
 
@@ -267,14 +219,11 @@ def conclusion(table: pd.DataFrame) -> Conclusion:
     verdicts += [each for each in of_pairs_solved if each.kind is not SharedVerdict.EQUAL]
     verdicts += border_verdict(best_rows(table).at_edge.to_numpy() == 1)
     best = of_cost.names[0].partition(" ")[0] if of_cost.names else "astar-plus"
-    return Conclusion(
-        tuple(verdicts),
-        next_step(
-            verdicts,
-            more="jaxurban study SCENARIO -o DIR --set study.instances={needed}",
-            wider='jaxurban study SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
-            done=f"jaxurban plan DIR --start LON,LAT --goal LON,LAT --planner {best}",
-        ),
+    return concluded(
+        verdicts,
+        more="jaxurban study SCENARIO -o DIR --set study.instances={needed}",
+        wider='jaxurban study SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
+        done=f"jaxurban plan DIR --start LON,LAT --goal LON,LAT --planner {best}",
     )
 
 
@@ -282,10 +231,10 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
     """Return whether GPS and lidar complement each other over the free cells, the paper's main finding.
 
     A row for each altitude, lowest first. ``gps``, ``lidar``: mean m. ``gps_serves``, ``lidar_serves``,
-    ``either_serves``: shares of cells with m >= 0.5. ``lidar_where_gps_poor``, ``lidar_where_gps_good``: mean m_lidar
-    where m_gps < 0.5 and elsewhere. ``correlation`` of the two, with its 95 % interval (``_low``, ``_high``) by the
-    bootstrap over tiles of 500 m, the same tiles drawn at every altitude. NaN where a metric does not vary, GPS is poor
-    in fewer than 0.5 % of the cells, or there are fewer than eight tiles.
+    ``either_serves``: percentages of cells with m >= 0.5. ``lidar_where_gps_poor``, ``lidar_where_gps_good``: mean
+    m_lidar where m_gps < 0.5 and elsewhere. ``correlation`` of the two, with its 95 % interval (``_low``, ``_high``) by
+    the bootstrap over tiles of 500 m, the same tiles drawn at every altitude. NaN where a metric does not vary, GPS is
+    poor in fewer than 0.5 % of the cells, or there are fewer than eight tiles.
 
     Args:
       maps: with gps and lidar; of the GPS maps the first time counts.
@@ -317,9 +266,9 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
             "altitude_m": altitude_m,
             "gps": gps.mean(),
             "lidar": lidar.mean(),
-            "gps_serves": gps_serves.mean(),
-            "lidar_serves": lidar_serves.mean(),
-            "either_serves": (gps_serves | lidar_serves).mean(),
+            "gps_serves": 100 * gps_serves.mean(),
+            "lidar_serves": 100 * lidar_serves.mean(),
+            "either_serves": 100 * (gps_serves | lidar_serves).mean(),
             "lidar_where_gps_poor": in_poor,
             "lidar_where_gps_good": in_good,
         }

@@ -20,7 +20,7 @@ from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, Report, reporting
 from jaxurban.satellites.track import NUM_VISIBLE
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, interval_columns
-from jaxurban.studies.decided import Conclusion, Verdict, next_step, runs_needed
+from jaxurban.studies.decided import Conclusion, Verdict, concluded, runs_needed
 from jaxurban.studies.receiver.agreement import PlaceSky, example_skies, judged_rows, strong_dbhz
 from jaxurban.studies.receiver.drive import Drive
 from jaxurban.studies.receiver.logs import ReceiverLog
@@ -109,10 +109,11 @@ class ReceiverValidation(Result):
             kind = SkyVerdict[name.upper() + suffix]
             noun = f"blocks of {self.settings.block_m:g} m of track"
             verdicts.append(Verdict(kind, (), value, low, high, num, noun=noun, needed=needed))
-        command = "jaxurban validate SCENARIO {log} -o OUT"
-        more = command.format(log="LONGER_LOG")
-        done = command.format(log="OTHER_LOG")
-        return Conclusion(tuple(verdicts), next_step(verdicts, more=more, done=done))
+        return concluded(
+            verdicts,
+            more="jaxurban validate SCENARIO LONGER_LOG -o OUT",
+            done="jaxurban validate SCENARIO OTHER_LOG -o OUT",
+        )
 
     @property
     def known_cautions(self) -> list[Caution]:

@@ -1,19 +1,19 @@
 """What a wish costs, on routes that its weights were not fitted to."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import Enum
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.studies.bootstrap import Clusters
+from jaxurban.studies.bootstrap import Clusters, interval_columns
 from jaxurban.studies.decided import (
     FEWEST_TO_HOLD_OUT,
     Conclusion,
     Verdict,
+    concluded,
     effects,
-    next_step,
+    runs_needed,
 )
 from jaxurban.studies.queries import LENGTH, PEOPLE, RouteQuery, outcome_label, outcomes_of
 from jaxurban.studies.route_pool import RoutePool
@@ -37,9 +37,9 @@ def tested_outcomes(
 ) -> pd.DataFrame:
     """Return what routes are like without a wish and with it: a row per target, then per other outcome.
 
-    ``what`` is the target or the outcome; ``without_wish`` and ``with_wish`` are means over the queries, in ``unit``;
-    ``change`` with its interval; ``ahead``, by how much a target is kept (below 0: missed), with its interval; and as
-    of `effects` ``n`` and ``needed``, of ``ahead`` where there is one, else of ``change``. All intervals hold at once.
+    ``what`` is the target or the outcome; ``without_wish`` and ``with_wish`` are means over the queries, in ``unit``,
+    the latter with its interval; ``change`` with its interval; ``n``, the number of pairs of ends; and how many would
+    decide whether a target holds, else whether the outcome changes (``needed``). All intervals hold at once.
 
     Args:
       queries: ``Q``, which the weights were not fitted to, or were.
@@ -54,26 +54,29 @@ def tested_outcomes(
         values[PEOPLE] = values[PEOPLE] / max(float(values[PEOPLE][:, 0].mean()), 1e-9)
     values = {DETOUR: values[LENGTH] / values[LENGTH][:, :1] - 1, **values}
 
-    # How far each target is kept, and every change; queries between the same cells are drawn together.
+    # Every outcome with the wish, and its change; queries between the same cells are drawn together.
     wished = [target.outcome for target in targets]
     outcomes = [*wished, *(name for name in values if name not in (*wished, DETOUR))]
     _, before, after = np.transpose([values[name] for name in outcomes], (2, 0, 1))
-    ahead = [each.sign * (row - each.value) for each, row in zip(targets, after, strict=False)]
     group, _ = pd.factorize(pd.Series([(query.start, query.goal) for query in queries]))
-    table = effects(np.transpose([*ahead, *(after - before)]), Clusters(group))
-    of_target, of_change = table[: len(targets)], table[len(targets) :].reset_index(drop=True)
-    result = pd.DataFrame(
+    table = effects(np.vstack([after, after - before]).T, Clusters(group))
+    reached, change = np.split(table[["size", "low", "high"]].to_numpy(), 2)
+    num = table.n[: len(outcomes)]
+    needed = table.needed[len(outcomes) :].to_numpy()
+    for number, target in enumerate(targets):
+        size, low, high = reached[number] - target.value
+        needed[number] = runs_needed(size, low, high, num[number])
+    return pd.DataFrame(
         {
             "what": [*map(str, targets), *outcomes[len(targets) :]],
-            "without_wish": before.mean(axis=1),
-            "with_wish": after.mean(axis=1),
             "unit": [UNITS.get(name, "") for name in outcomes],
+            "without_wish": before.mean(axis=1),
+            **dict(zip(interval_columns("with_wish"), reached.T, strict=True)),
+            **dict(zip(interval_columns("change"), change.T, strict=True)),
+            "n": num,
+            "needed": needed,
         }
     )
-    for name, part in (("change", of_change), ("ahead", of_target)):
-        columns = {"size": name, "low": f"{name}_low", "high": f"{name}_high"}
-        result = result.join(part.rename(columns=columns)[[*columns.values()]])
-    return result.join(of_target[["n", "needed"]].combine_first(of_change[["n", "needed"]]))
 
 
 def wish_conclusion(
@@ -92,30 +95,22 @@ def wish_conclusion(
         needed = row["needed"]
         if not num_held_out:
             needed = max(needed, FEWEST_TO_HOLD_OUT)
-        if number < len(targets):
-            verdicts.append(_of_target(row, targets[number], needed))
-            continue
-        kind = WishVerdict.UNSEEN if needed else WishVerdict.COSTS
-        change = row["change"], row["change_low"], row["change_high"]
+        name = "change"
         label = outcome_label(row["what"])
-        verdicts.append(Verdict(kind, (label,), *change, row["n"], row["unit"], needed=needed))
-    return Conclusion(
-        tuple(verdicts),
-        next_step(
-            verdicts,
-            more='jaxurban tune DIR --sample {needed} --wish "..." -o OUT',
-            factor=num / (num_held_out or num),
-            done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --weights ...",
-        ),
+        kind = WishVerdict.UNSEEN if needed else WishVerdict.COSTS
+        if number < len(targets):
+            target = targets[number]
+            name, label = "with_wish", str(target)
+            is_kept = target.sign * (row[name] - target.value) > 0
+            kind = WishVerdict.HOLDS if is_kept else WishVerdict.MISSED
+            if needed:
+                kind = WishVerdict.OPEN
+        size, low, high = (row[column] for column in interval_columns(name))
+        num_pairs, unit = row["n"], row["unit"]
+        verdicts.append(Verdict(kind, (label,), size, low, high, num_pairs, unit, needed=needed))
+    return concluded(
+        verdicts,
+        more='jaxurban tune DIR --sample {needed} --wish "..." -o OUT',
+        factor=num / (num_held_out or num),
+        done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --weights ...",
     )
-
-
-def _of_target(row: Mapping[Any, Any], target: Target, needed: float) -> Verdict:
-    """Return the verdict on a target, with what was reached and its interval."""
-    kind = WishVerdict.OPEN
-    if not needed:
-        kind = WishVerdict.HOLDS if row["ahead"] > 0 else WishVerdict.MISSED
-    low, high = sorted(target.value + target.sign * row[f"ahead_{end}"] for end in ("low", "high"))
-    reached = row["with_wish"]
-    unit = row["unit"]
-    return Verdict(kind, (row["what"],), reached, low, high, row["n"], unit, needed=needed)

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any, Literal
 
 import jax
@@ -19,7 +18,7 @@ from jaxurban.studies.decided import (
     USUAL_SHARE,
     Conclusion,
     Verdict,
-    next_step,
+    concluded,
 )
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import RouteQuery, check_alike, maps_of, weights_from
@@ -108,13 +107,9 @@ class WeightFit:
         return [sentence for sentence in sentences if sentence != self.sentence]
 
     def __repr__(self) -> str:
+        lines = [f"{name}: {text}" for name, text in self.decided.facts.items()]
         table = self.table.to_string(float_format="{:.3g}".format)
-        return "\n".join([self.sentence, *self.cautions, table])
-
-    def _repr_html_(self) -> str:
-        cautions = "".join(f"<li>{escape(sentence)}</li>" for sentence in self.cautions)
-        table = self.table.to_html(float_format="{:.3g}".format)
-        return f"<p><b>{escape(self.sentence)}</b></p><ul>{cautions}</ul>{table}"
+        return "\n".join([*lines, self.sentence, *self.cautions, table])
 
 
 @typed
@@ -283,14 +278,11 @@ def fit_conclusion(
     known = table[(table.low > 0) & ~table.index.isin(unknown)]
     verdicts += [_weight_verdict(FitVerdict.WEIGHED, row) for row in known.itertuples()]
     verdicts += fit.verdicts
-    return Conclusion(
-        tuple(verdicts),
-        next_step(
-            verdicts,
-            more="jaxurban tune DIR --sample {needed} --pilot gps=1,risk=2 -o OUT",
-            factor=1 / USUAL_SHARE if tested else 1.0,
-            done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --weights ...",
-        ),
+    return concluded(
+        verdicts,
+        more="jaxurban tune DIR --sample {needed} --pilot gps=1,risk=2 -o OUT",
+        factor=1 / USUAL_SHARE if tested else 1.0,
+        done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --weights ...",
     )
 
 
