@@ -77,13 +77,8 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
         "risk",
     ]
 
-<<<<<<< HEAD
     again = facts_of(capsys, *made, "-o", out, "--fit", "bootstrap=20")
-    assert (again["weights"], again["interval"]) == (facts["weights"], facts["interval"])
-=======
-    again = facts_of(capsys, *made, "-o", out, "--bootstrap", 20)
     assert (again["weights"], again["decided"]) == (facts["weights"], facts["decided"])
->>>>>>> decided
     assert_refused(
         run(capsys, "tune", *made, "-o", out, "--fit", "seed=1"),
         "another file or folder",
