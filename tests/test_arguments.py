@@ -776,7 +776,6 @@ TABLE: dict[str, dict[str, Any]] = {
     },
     "building_costs": {"weights": ju.Weights(lidar=50.0)},
     "compare": {
-        "tolerance": 0.5,
         "routes": 2,
         "seed": Case(3, {"routes": 2}),
         "progress": PROGRESS,
@@ -1026,7 +1025,6 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         {
             "-o": Case("{home}/town.toml", refused="town.toml"),
             "--resolution": "40",
-            "--tolerance": "0.5",
             "--routes": "2",
             "--seed": Case("3", ("--routes=2",)),
             "--overwrite": OVERWRITE,

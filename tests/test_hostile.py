@@ -214,7 +214,7 @@ OPTIONS: tuple[tuple[tuple, str, tuple[str, ...]], ...] = (
         NUMBERS,
     ),
     (PLAN, "--resolution --start --goal --planner=seed --rules=clearance_m", NUMBERS),
-    (("compare", "../made", "../made", "-o", "out"), "--tolerance --resolution", NUMBERS),
+    (("compare", "../made", "../made", "-o", "out"), "--routes --resolution", NUMBERS),
     (SENSITIVITY, "--range --samples", NUMBERS),
     (TUNE, "--fit=hold_out --fit=bootstrap --fit=budget_s --altitude --sample", NUMBERS),
     (TO_MAPS, "--memory --workers", NUMBERS),

@@ -35,12 +35,11 @@ from jaxurban.studies.receiver.settings import ReceiverSettings
 @click.argument("folder_b", metavar="DIR_B", type=MAPS_PATH)
 @OUTPUT
 @MAPS
-@SHOWN("--tolerance", default=1e-6, help="Values that differ by no more count as equal.")
 @SHOWN(
     "--routes",
     type=COUNT,
     default=0,
-    help="Pairs of places at each altitude whose route on one map is judged on the other.",
+    help="Pairs of places at each altitude whose route on A is judged on B.",
 )
 @SEED
 @OVERWRITE
@@ -72,10 +71,10 @@ def compare_command(
         from jaxurban.io.tables import records_of
 
         facts = {
-            "left_out": dict(result.left_out),
+            "left_out": list(result.left_out),
             "settings": result.settings,
             "layers": records_of(result.table),
-            "regrets": records_of(result.regrets),
+            "routes": records_of(result.routes),
             "decided": result.decided.to_dict(),
         }
         print_json(_places_of(output) | facts)

@@ -1,7 +1,7 @@
 """compare: two sets of maps of one place, cell by cell, on the part that both hold."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from jaxurban.checks import at_least, finite, one_of, typed
-from jaxurban.errors import InputError
+from jaxurban.checks import at_least, one_of, typed
 from jaxurban.io.files import read_json
 from jaxurban.io.results import Result
 from jaxurban.io.stored import RUN_FILE
@@ -24,8 +23,8 @@ from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.settings import iso_utc
 from jaxurban.studies.bootstrap import Clusters
-from jaxurban.studies.compared_routes import compared_routes, route_regrets
-from jaxurban.studies.decided import Conclusion, Verdict, border_verdict, effects, next_step
+from jaxurban.studies.compared_routes import compared_routes
+from jaxurban.studies.decided import Conclusion, Verdict, border_verdict, concluded, effects
 from jaxurban.world.grid import Grid
 
 # The layer of cells that no planner enters, beside ``obstacle``, the metrics' rule.
@@ -59,16 +58,15 @@ class MapComparison(Result):
     Attributes:
       names: what A and B are called.
       a, b: the maps, cut to what both hold.
-      left_out: what only one of them holds.
+      left_out: names of the layers, altitudes and times of day that one of them lacks.
       settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
         of them was not made by `jaxurban maps`.
-      tolerance: up to which values are the same.
       table: a row per layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
         hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
-        ``higher`` and ``lower``, the cells that are higher, and lower, by more than ``tolerance`` in B, and
+        ``higher`` and ``lower``, the cells that are higher, and lower, by more than `SAME` in B, and
         ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` (cells that no planner enters) the
         values are 1 where a cell is blocked and 0 elsewhere, and the cells all with data in both.
-      routes: a row for each route of one map under the other (`compared_routes`); empty where none were asked for.
+      routes: a row for each route of A on B (`compared_routes`); empty where none were asked for.
       seed: of their ends.
 
     Examples:
@@ -77,7 +75,7 @@ class MapComparison(Result):
       >>> change.layers[:6], change.grid.shape
       (('obstacle', 'closed', 'gps', 'lidar', 'population', 'risk'), (30, 30))
       >>> change.left_out
-      {'altitude 20 m': 'B holds no such map'}
+      ('altitude 20 m',)
     """
 
     _command = "compare"
@@ -86,22 +84,11 @@ class MapComparison(Result):
     names: tuple[str, str]
     a: MetricMaps
     b: MetricMaps
-    left_out: Mapping[str, str]
+    left_out: tuple[str, ...]
     settings: Differing | None = None
-    tolerance: float = SAME
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
     routes: pd.DataFrame = field(default_factory=pd.DataFrame)
     seed: int = 0
-
-    @property
-    def regrets(self) -> pd.DataFrame:
-        """By altitude, how much too much routes planned on A cost on B, and the other way round; empty without routes.
-
-        ``routes`` counts the routes that were found. ``closed`` is the share of them that the other map closes, and
-        ``closed_m`` their median length in closed cells. Of the other routes ``regret`` is the median (0.05: 5 % above
-        the cheapest there), with the 90 % quantile and the worst. ``closed`` and ``regret`` have 95 % intervals.
-        """
-        return route_regrets(self.routes) if len(self.routes) else pd.DataFrame()
 
     @property
     def times(self) -> dict[str, str]:
@@ -169,14 +156,13 @@ class MapComparison(Result):
         done = f"jaxurban view {a} --against {b}"
         if self.routes.empty:
             done = more.format(needed=USUAL_ROUTES)
-        following = next_step(
+        return concluded(
             verdicts,
             more=more,
             done=done,
             wider='jaxurban maps SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
             factor=1 / len(self.a.altitudes_m),
         )
-        return Conclusion(tuple(verdicts), following)
 
     def _of_layers(self, cause: str) -> Iterator[Verdict]:
         """Yield by how much each metric differs on average over all cells, and how many cells close and open."""
@@ -198,7 +184,7 @@ class MapComparison(Result):
         if self.routes.empty:
             yield Verdict(MapVerdict.NO_ROUTES, needed=math.nan)
             return
-        routes = self.routes[(self.routes.planned_on == "A") & self.routes.is_closed.notna()]
+        routes = self.routes[self.routes.is_closed.notna()]
         clusters = Clusters(routes.pair)
         is_changed = (routes.is_closed > 0) | (routes.regret > SAME)
         share, low, high = (100 * each for each in clusters.interval(is_changed, "share"))
@@ -220,10 +206,12 @@ class MapComparison(Result):
     @property
     def facts(self) -> dict[str, str]:
         """What it decided, what is compared, and what was left out or made by other settings."""
-        return self.decided.facts | {
-            "A": self.names[0],
-            "B": self.names[1],
-            **{name: self.a.facts[name] for name in ("grid", "CRS", "altitudes")},
+        names = dict(zip("AB", self.names, strict=True))
+        places = {name: self.a.facts[name] for name in ("grid", "CRS", "altitudes")}
+        return {
+            **self.decided.facts,
+            **names,
+            **places,
             "left out": ", ".join(self.left_out),
             "settings that differ": ", ".join(self.settings or ()),
         }
@@ -239,7 +227,6 @@ def compare(
     maps_a: MapsLike | MapsFolder,
     maps_b: MapsLike | MapsFolder,
     *,
-    tolerance: float = SAME,
     routes: int = 0,
     seed: int = 0,
     progress: Progress = True,
@@ -251,9 +238,8 @@ def compare(
     Args:
       maps_a, maps_b: from `build_maps` or `open_maps`, or folders of one resolution's maps; a `MapsFolder` where a
         folder holds several, or planners are to keep another rule of obstacles.
-      tolerance: values that differ by no more than this, in their unit, have not changed.
       routes: pairs of places, free in both, drawn at each altitude, between which the cheapest route on A is judged on
-        B, and B's on A (`MapComparison.regrets`); by A's weights, cost model and constraints, at the first time.
+        B (`MapComparison.routes`); by A's weights, cost model and constraints, at the first time.
       seed: of these places.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
@@ -272,16 +258,13 @@ def compare(
       layer
       gps      1    891       0    792
       lidar    1    891       0      0
-      >>> regrets = ju.studies.compare(maps, higher_mask, routes=20, progress=False).regrets
-      >>> regrets[["planned_on", "judged_on", "routes", "closed"]].to_numpy().tolist()
-      [['A', 'B', 20, 0.0], ['B', 'A', 20, 0.0]]
+      >>> routes = ju.studies.compare(maps, higher_mask, routes=20, progress=False).routes
+      >>> len(routes), routes["is_closed"].max()
+      (20, 0.0)
     """
     # The arguments, and the part that both maps hold.
     at_least("routes", routes)
     at_least("seed", seed)
-    tolerance = finite("tolerance", tolerance)
-    if tolerance < 0:
-        raise InputError(f"tolerance must not be negative, got {tolerance:g}")
     a, name_a, settings_a = _side(maps_a, "A")
     b, name_b, settings_b = _side(maps_b, "B")
     part_a, part_b = shared_part(a, b.with_obstacles(b.rule or a.obstacles))
@@ -294,14 +277,13 @@ def compare(
         names=(name_a, name_b),
         a=part_a,
         b=part_b,
-        left_out=_left_out(a, part_a, "B") | _left_out(b, part_b, "A"),
+        left_out=(*_left_out(a, part_a), *_left_out(b, part_b)),
         settings=settings,
-        tolerance=tolerance,
     )
 
     with reporting("compare", progress) as report:
         tables = [
-            _statistics(layer, unit_of(part_a, layer), result.difference(layer), tolerance)
+            _statistics(layer, unit_of(part_a, layer), result.difference(layer))
             for layer in report.over("layers", result.layers)
         ]
 
@@ -313,22 +295,16 @@ def compare(
     return replace(result, table=pd.concat(tables, ignore_index=True), routes=judged, seed=seed)
 
 
-def _left_out(maps: MetricMaps, part: MetricMaps, other: str) -> dict[str, str]:
-    """Return which layers, altitudes, times of day and cells of maps their shared part lacks, each with a reason.
-
-    Args:
-      maps: one side of the comparison.
-      part: its part that the other side holds too.
-      other: name of the other side, ``"A"`` or ``"B"``, for the reason.
-    """
-    lost = [name for name in maps.ds.data_vars if name not in part.ds]
-    names = [str(name) for name in lost if "y" in maps.ds[name].dims]  # layers, not scalars
-    names += [f"altitude {z_m:g} m" for z_m in maps.altitudes_m if z_m not in part.altitudes_m]
-    names += [f"time of day {day}" for day in maps.times_of_day if day not in part.times_of_day]
-    num_cells = int(np.prod(maps.grid.shape) - np.prod(part.grid.shape))
+def _left_out(maps: MetricMaps, part: MetricMaps) -> Iterator[str]:
+    """Yield the layers, altitudes and times of day of maps that their shared part lacks, and how many of its cells."""
+    for name in maps.ds.data_vars:
+        if name not in part.ds and "y" in maps.ds[name].dims:  # layers, not scalars
+            yield str(name)
+    yield from (f"altitude {z_m:g} m" for z_m in maps.altitudes_m if z_m not in part.altitudes_m)
+    yield from (f"time of day {day}" for day in maps.times_of_day if day not in part.times_of_day)
+    num_cells = maps.ds.sizes["y"] * maps.ds.sizes["x"] - part.ds.sizes["y"] * part.ds.sizes["x"]
     if num_cells:
-        names.append(f"{num_cells:,} cells")
-    return dict.fromkeys(names, f"{other} holds no such map")
+        yield f"{num_cells:,} cells"
 
 
 def _side(
@@ -367,7 +343,7 @@ def _layer(maps: MetricMaps, layer: str) -> xr.DataArray:
     return array.transpose(*ORDER, missing_dims="ignore").astype(np.float32)
 
 
-def _statistics(layer: str, unit: str, change: xr.DataArray, tolerance: float) -> pd.DataFrame:
+def _statistics(layer: str, unit: str, change: xr.DataArray) -> pd.DataFrame:
     """Return a row of statistics for each map of a layer's differences, in their order.
 
     Infinite differences count as changed, ``higher`` or ``lower``, and in no other statistic. Where no difference is
@@ -377,7 +353,6 @@ def _statistics(layer: str, unit: str, change: xr.DataArray, tolerance: float) -
       layer: its name.
       unit: of the layer.
       change: ``[..., Y, X]`` in the layer's unit, NaN where it is not known.
-      tolerance: a difference of at most this, in the same unit, is no change.
     """
     cells = ["y", "x"]
     numbers = change.where(np.isfinite(change)).astype(np.float64)
@@ -387,8 +362,8 @@ def _statistics(layer: str, unit: str, change: xr.DataArray, tolerance: float) -
         "mean": numbers.mean(cells),
         **dict(zip(("median", "p05", "p95"), quantiles, strict=True)),
         "rms": np.sqrt((numbers**2).mean(cells)),
-        "higher": (change > tolerance).sum(cells),
-        "lower": (change < -tolerance).sum(cells),
+        "higher": (change > SAME).sum(cells),
+        "lower": (change < -SAME).sum(cells),
     }
     table = xr.Dataset(statistics).expand_dims(layer=[layer]).to_dataframe().reset_index()
     if TIME in table:
