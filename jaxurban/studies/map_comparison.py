@@ -1,5 +1,6 @@
 """compare: two sets of maps of one place, cell by cell, on the part that both hold."""
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -21,7 +22,7 @@ from jaxurban.maps.shared import paired_times, shared_part
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
-from jaxurban.settings import iso_utc
+from jaxurban.settings import ObstacleRule, iso_utc
 from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.compared_routes import compared_routes
 from jaxurban.studies.decided import Conclusion, Verdict, border_verdict, concluded, effects
@@ -31,7 +32,7 @@ from jaxurban.world.grid import Grid
 CLOSED = "closed"
 MASKS = ("obstacle", CLOSED)
 STATISTICS = ["mean", "median", "p05", "p95", "rms"]
-ORDER = (TIME, ALTITUDE, TIME_OF_DAY, "y", "x")
+ORDER = (TIME, TIME_OF_DAY, ALTITUDE, "y", "x")
 SAME = 1e-6  # values that differ by no more, as on another device, have not changed
 PLACE = ["altitude_m", "time", "time_of_day"]
 COLUMNS = ["layer", "unit", *PLACE, "cells", *STATISTICS, "higher", "lower", "share_changed"]
@@ -132,16 +133,16 @@ class MapComparison(Result):
         one_of("layer", layer, self.layers)
         a, b = (_layer(maps, layer) for maps in (self.a, self.b))
 
-        # [..., Y, X] where both hold a number. Masks and layers without altitudes have one wherever there are data, and
-        # other layers in the cells that are free by their centres.
-        is_known = self.a.ds["has_data"] & self.b.ds["has_data"].values
+        # [Y, X] or [K, Y, X] where both hold a number. Masks and layers without altitudes have one wherever there are
+        # data, and other layers in the cells that are free by their centres.
         if ALTITUDE in a.dims and layer not in MASKS:
-            blocked = self.a.ds["obstacle"] + self.b.ds["obstacle"].values
-            is_known = is_known & (blocked == 0)
+            is_known = _is_free(self.a, "centre") & _is_free(self.b, "centre")
+        else:
+            is_known = self.a.ds["has_data"].values & self.b.ds["has_data"].values
         with np.errstate(invalid="ignore"):
             # Two infinite values differ by 0, and not by NaN.
             change = np.where(a.values == b.values, np.float32(0), b.values - a.values)
-        return a.copy(data=change).where(is_known)
+        return a.copy(data=np.where(is_known, change, np.float32(np.nan)))
 
     @property
     def decided(self) -> Conclusion:
@@ -282,17 +283,18 @@ def compare(
     )
 
     with reporting("compare", progress) as report:
-        tables = [
-            _statistics(layer, unit_of(part_a, layer), result.difference(layer))
-            for layer in report.over("layers", result.layers)
-        ]
+        rows: list[dict[str, Any]] = []
+        for layer in report.over("layers", result.layers):
+            rows += _rows_of(layer, unit_of(part_a, layer), result.difference(layer))
+        table = pd.DataFrame(rows).rename(columns={ALTITUDE: "altitude_m"}).reindex(columns=COLUMNS)
+        table["time"] = table["time"].map(iso_utc, na_action="ignore")
 
         # Routes, at the first pair of times.
         judged = result.routes
         if routes:
             times = next(iter(result.times.items()), (None, None))
             judged = compared_routes(part_a, part_b, routes, seed, times, report)
-    return replace(result, table=pd.concat(tables, ignore_index=True), routes=judged, seed=seed)
+    return replace(result, table=table, routes=judged, seed=seed)
 
 
 def _left_out(maps: MetricMaps, part: MetricMaps) -> Iterator[str]:
@@ -334,17 +336,21 @@ def unit_of(maps: MetricMaps, layer: str) -> str:
     return "1" if layer == CLOSED else str(maps.ds[layer].attrs.get("units", "1"))
 
 
+def _is_free(maps: MetricMaps, obstacles: ObstacleRule | None = None) -> np.ndarray:
+    """Return ``[K, Y, X]`` bool, which cells are free at each altitude (`MetricMaps.is_free`)."""
+    return np.stack([maps.is_free(altitude_m, obstacles) for altitude_m in maps.altitudes_m])
+
+
 def _layer(maps: MetricMaps, layer: str) -> xr.DataArray:
     """Return a layer as float32, ``[..., Y, X]`` in its unit; of `CLOSED` 1 where planners may not enter."""
     array = maps.ds["obstacle" if layer == CLOSED else layer]
-    if layer == CLOSED:
-        is_free = [maps.is_free(altitude_m) for altitude_m in maps.altitudes_m]
-        array = array.transpose(*ORDER, missing_dims="ignore").copy(data=~np.stack(is_free))
-    return array.transpose(*ORDER, missing_dims="ignore").astype(np.float32)
+    array = array.transpose(*ORDER, missing_dims="ignore")
+    values = ~_is_free(maps) if layer == CLOSED else array.values
+    return array.copy(data=values.astype(np.float32))
 
 
-def _statistics(layer: str, unit: str, change: xr.DataArray) -> pd.DataFrame:
-    """Return a row of statistics for each map of a layer's differences, in their order.
+def _rows_of(layer: str, unit: str, change: xr.DataArray) -> Iterator[dict[str, Any]]:
+    """Yield a row of statistics for each map of a layer's differences, in their order.
 
     Infinite differences count as changed, ``higher`` or ``lower``, and in no other statistic. Where no difference is
     finite the other statistics are NaN.
@@ -354,20 +360,25 @@ def _statistics(layer: str, unit: str, change: xr.DataArray) -> pd.DataFrame:
       unit: of the layer.
       change: ``[..., Y, X]`` in the layer's unit, NaN where it is not known.
     """
-    cells = ["y", "x"]
-    numbers = change.where(np.isfinite(change)).astype(np.float64)
-    quantiles = numbers.quantile([0.5, 0.05, 0.95], cells).drop_vars("quantile")
-    statistics = {
-        "cells": change.count(cells),
-        "mean": numbers.mean(cells),
-        **dict(zip(("median", "p05", "p95"), quantiles, strict=True)),
-        "rms": np.sqrt((numbers**2).mean(cells)),
-        "higher": (change > SAME).sum(cells),
-        "lower": (change < -SAME).sum(cells),
-    }
-    table = xr.Dataset(statistics).expand_dims(layer=[layer]).to_dataframe().reset_index()
-    if TIME in table:
-        table[TIME] = table[TIME].map(iso_utc)
-    table = table.rename(columns={ALTITUDE: "altitude_m"}).assign(unit=unit)
-    share = (table.higher + table.lower) / table.cells
-    return table.assign(share_changed=share).reindex(columns=COLUMNS)
+    dims = tuple(map(str, change.dims[:-2]))
+    places = itertools.product(*(change[dim].values for dim in dims))
+    for place, values in zip(places, change.values.reshape(-1, *change.shape[-2:]), strict=True):
+        # The finite differences; a single NaN in their place makes all statistics of them NaN.
+        numbers = values[np.isfinite(values)].astype(np.float64)
+        if not len(numbers):
+            numbers = np.array([np.nan])
+        cells = int(np.sum(~np.isnan(values)))
+        higher = int(np.sum(values > SAME))
+        lower = int(np.sum(values < -SAME))
+        quantiles = np.quantile(numbers, [0.5, 0.05, 0.95])
+        statistics = (numbers.mean(), *quantiles, np.sqrt(np.mean(numbers**2)))
+        yield {
+            "layer": layer,
+            "unit": unit,
+            **dict(zip(dims, place, strict=True)),
+            "cells": cells,
+            **dict(zip(STATISTICS, statistics, strict=True)),
+            "higher": higher,
+            "lower": lower,
+            "share_changed": (higher + lower) / cells if cells else np.nan,
+        }
