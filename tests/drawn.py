@@ -238,14 +238,12 @@ def _weighed(is_hard: bool) -> Any:
         lines[name] = Partition(corners, sums, sums, cells, True, 1e-3, 9, names)
     traded = ("distance", *varied[:2]) if is_hard else ("distance", "gps")
     points = pd.DataFrame({name: np.sort(rng.uniform(1e3, 3e4, 9)) for name in traded})
-    gradient = pd.Series({name: 1.5e4 for name in names})
     return SimpleNamespace(
-        maps=maps,
-        route=route,
+        path=replace(route, maps=maps),
         names=names,
         weights=np.ones(len(names)),
-        settings=SimpleNamespace(factors=(0.1, 10.0)),
-        cost=pd.DataFrame({"gradient": gradient}),
+        factors=(0.1, 10.0),
+        features=np.full(len(names), 1.5e4),
         lines=lines,
         line_routes=dict.fromkeys(varied, routes),
         front=SimpleNamespace(objectives=traded, points=points),
@@ -346,8 +344,8 @@ PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
     "sensitivity.plot_breakpoint_routes": _of_weights,
     "sensitivity.plot_breakpoints": _of_weights,
     "sensitivity.plot_pareto": _of_weights,
-    "sensitivity_study.plot_nearest": _of_summary,
-    "sensitivity_study.plot_regret": _of_summary,
+    "sensitivity.plot_nearest": _of_summary,
+    "sensitivity.plot_regret": _of_summary,
     "sky.plot_sky": _over_place,
     "tuning.plot_routes": _imitated,
     "tuning.plot_weights": _fitted,

@@ -338,8 +338,7 @@ USES: dict[str, Callable[..., Any]] = {
         home() / "maps", **{"resolution_m": 20.0} | given
     ).open(),
     "ReceiverSettings": validated,
-    "SensitivitySettings": on.ranges,
-    "SensitivityStudySettings": on.of_weights_study,
+    "SensitivitySettings": on.of_weights_study,
     "Study": on.of_study,
     "building_costs": lambda **given: ju.studies.building_costs(
         on.city(),
@@ -363,8 +362,7 @@ USES: dict[str, Callable[..., Any]] = {
     "sample_instances": lambda **given: ju.studies.sample_instances(
         on.maps(), **{"num": 3} | given
     ),
-    "sensitivity": on.ranges,
-    "sensitivity_study": on.weights_study,
+    "sensitivity": on.weights_study,
     "study": on.a_study,
     "validate": validated,
     "write_buildings": lambda **given: ju.studies.write_buildings(
@@ -744,22 +742,14 @@ TABLE: dict[str, dict[str, Any]] = {
     "SensitivitySettings": {
         "vary": ("risk",),
         "factors": (0.5, 2.0),
+        "wrong": 30.0,
         "num_samples": 4,
         "objectives": ("distance", "lidar"),
         "tolerance": 0.5,
         "max_plans": 1,
-        "seed": 3,
-    },
-    "SensitivityStudySettings": RULES
-    | {
-        "vary": ("risk",),
-        "factors": (0.99, 1.01),
-        "wrong": 30.0,
-        "num_samples": 2,
         "num_heights": 1,
         "has_parameters": True,
-        "seed": Case(3),
-        "num_threads": Same("any number of threads finds the same routes"),
+        "seed": 3,
     },
     "Study": {
         "instances": 3,
@@ -790,18 +780,13 @@ TABLE: dict[str, dict[str, Any]] = {
         "cover": lambda: covered(),
         "seed": 3,
     },
-    "sensitivity": {
-        "snap": Same(
-            "the ends of the town's route are free or the call is refused: see make_queries"
-        ),
-        "settings": ju.studies.SensitivitySettings(vary=("risk",), num_samples=2, max_plans=9),
-        "progress": PROGRESS,
-    },
-    "sensitivity_study": {
+    "sensitivity": RULES
+    | {
         "routes": 3,
         "altitudes_m": [20.0],
         "weights": {"risk": 9.0},
-        "settings": ju.studies.SensitivityStudySettings(vary=("risk",), num_samples=0),
+        "snap": Same("drawn ends are free; the command's row has a route of a closed one"),
+        "settings": ju.studies.SensitivitySettings(vary=("risk",), num_samples=0),
         "scenarios": Case(
             lambda: {"town": ju.Scenario.from_toml(home() / "town.toml")}, refused="scenarios"
         ),
@@ -836,10 +821,9 @@ SLOW = (
     "compare_fits",
     "fit_targets",
     "fit_weights",
-    "SensitivityStudySettings",
     "write_buildings",
     "building_costs",
-    "sensitivity_study",
+    "sensitivity",
     "when",
     "SoftParams",
     "all_maps",
@@ -1116,55 +1100,25 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         },
     ),
     "sensitivity": (
-        ("{home}/maps", *ROUTE, "-o", "{out}", "--samples=2", "--vary=gps"),
-        OF_ROUTE
-        | {
-            "--samples": "4",
-            "--pareto": "distance,risk",
-            "--tolerance": Case("0.5", ("--pareto=distance,lidar",)),
-            "--buildings": "",
-            "--scenario": Case("{home}/town.toml", refused="--scenario"),
-            "--vary": "risk",
-            "--range": "0.5,2",
-            "--seed": "3",
-            "--overwrite": OVERWRITE,
-            "--device": DEVICE,
-            "--json": JSON,
-            "-o": Case("{home}/town.toml", refused="town.toml"),
-        },
-    ),
-    "sensitivity-study": (
         (
-            "{home}/maps",
-            "--routes=2",
-            "--altitudes=60",
-            "--resolution=20",
-            "-o",
-            "{out}",
-            "--samples=0",
-            "--vary=gps",
-            "--workers=1",
+            *("{home}/maps", *ROUTE, "-o", "{out}"),
+            *("--study=num_samples=2", "--vary=gps", "--workers=1"),
         ),
-        RULES_OF_ROUTES
+        {name: case for name, case in OF_ROUTE.items() if not name.startswith("--time")}
         | {
             "--rules unknown_heights": KNOWN_HEIGHTS,
-            "--routes": "3",
-            "--altitudes": "20",
-            "--queries": Case("none.csv", refused="none.csv"),
-            "--resolution": "40",
-            "--weights": "risk=9",
-            "--wrong": "30",
-            "--samples": "2",
-            "--heights": "1",
-            "--parameters": "",
-            "--scenario": Case("{home}/town.toml", refused="--scenario"),
-            "--workers": WORKERS,
-            "--cluster": WORKERS,
+            "--routes": Case("none.csv", refused="none.csv"),
             "--vary": "risk",
-            "--range": "0.99,1.01",
-            "--seed": "3",
+            "--range": "0.5,2",
+            "--study num_samples": "4",
+            "--study num_heights": "1",
+            "--study has_parameters": "true",
+            "--study wrong": "30",
+            "--study seed": "3",
+            "--study tolerance": "0.5",
+            "--study max_plans": "1",
+            "--workers": WORKERS,
             "--overwrite": OVERWRITE,
-            "--device": DEVICE,
             "--json": JSON,
             "-o": Case("{home}/town.toml", refused="town.toml"),
         },
@@ -1177,7 +1131,7 @@ NOT_WALKED = {
     "validate": "its options are rows of ReceiverSettings",
     "view": "it serves until it is stopped; ju.view has the rows",
 }
-SLOW_COMMANDS = ("plan", "check", "compare", "study", "tune", "sensitivity", "sensitivity-study")
+SLOW_COMMANDS = ("plan", "check", "compare", "study", "tune", "sensitivity")
 
 
 @cache

@@ -234,12 +234,8 @@ def test_times_may_be_datetimes_of_any_kind():
 
 def test_studies_of_routes_refuse_volumes():
     volume = ju.cost_map(MAPS, ju.Levels())
-    for study, *given in (
-        (ju.studies.sensitivity, START, GOAL),
-        (ju.studies.make_queries, [(START, GOAL)]),
-    ):
-        with pytest.raises(ju.InputError, match="needs one altitude, not Levels"):
-            study(volume, *given)
+    with pytest.raises(ju.InputError, match="needs one altitude, not Levels"):
+        ju.studies.make_queries(volume, [(START, GOAL)])
     path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
     climbing = dataclasses.replace(path, z_m=path.z_m + np.arange(len(path.z_m)))
     with pytest.raises(ju.InputError, match="path 1: it changes its altitude"):

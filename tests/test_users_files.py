@@ -50,12 +50,20 @@ COMMANDS = {  # what runs, and what makes it another run
         ("--metrics", "gps", "--overwrite"),
     ),
     "sensitivity": (
-        ("sensitivity", "maps", *ENDS, "--samples", 2, "--tolerance", 0.5, "--vary", "gps,risk"),
-        ("--seed", 3, "--overwrite"),
+        (
+            "sensitivity",
+            "maps",
+            *ENDS,
+            "--study",
+            "num_samples=2,tolerance=0.5",
+            "--vary",
+            "gps,risk",
+        ),
+        ("--study", "num_samples=2,seed=3", "--overwrite"),
     ),
     "routes": (
-        ("sensitivity-study", "maps", "--routes", 1, "--samples", 2, "--workers", 1),
-        ("--seed", 3, "--overwrite"),
+        ("sensitivity", "maps", "--routes", 2, "--study", "num_samples=2", "--workers", 1),
+        ("--study", "num_samples=2,seed=3", "--overwrite"),
     ),
     "validate": (
         ("validate", "drive.toml", "log.csv"),

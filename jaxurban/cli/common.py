@@ -78,10 +78,12 @@ def check_given(path: Path) -> None:
         located(path).stat()
 
 
-def check_over_maps(ctx: click.Context, param: click.Parameter, lonlat: Point) -> Point:
-    """Return a place that lies over the maps in the command's folder, by what their metadata say alone.
+def check_over_maps(
+    ctx: click.Context, param: click.Parameter, lonlat: Point | None
+) -> Point | None:
+    """Return a place, if one is given, that lies over the maps in the command's folder, by their metadata alone.
 
-    Of several resolutions, or of damaged maps, what opens the maps checks it.
+    Of several folders the first one counts. Of several resolutions, or of damaged maps, what opens the maps checks it.
 
     Raises:
       InputError: the place lies outside.
@@ -90,9 +92,10 @@ def check_over_maps(ctx: click.Context, param: click.Parameter, lonlat: Point) -
     from jaxurban.world.grid import grid_of
 
     grid = None
+    folders = ctx.params.get("folders") or (ctx.params["folder"],)
     with suppress(AttributeError, LookupError, TypeError, ValueError):  # damaged metadata, or None
-        grid = grid_of(glance(ctx.params["folder"]))
-    if grid is not None:
+        grid = grid_of(glance(folders[0]))
+    if grid is not None and lonlat is not None:
         try:
             grid.cell_of_lonlat(*lonlat)
         except InputError as error:
@@ -347,6 +350,14 @@ TIME_OF_DAY = click.option(
     "--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"
 )
 PLACE = partial(click.option, type=LONLAT, required=True, callback=check_over_maps)
+SNAP = NUMBER(
+    "--snap",
+    is_flag=False,
+    flag_value="50",
+    metavar="[METRES]",
+    callback=lambda ctx, param, metres: False if metres is None else metres,
+    help="Move a start or goal that is not free to the nearest free cell, by at most 50 m or METRES.",
+)
 ROUTE = options_together(  # a route over maps
     FOLDER,
     PLACE("--start", help="Start: longitude,latitude in degrees."),
@@ -362,26 +373,20 @@ ROUTE = options_together(  # a route over maps
     MAPS,
     WEIGHTS,
     RULES,
-    NUMBER(
-        "--snap",
-        is_flag=False,
-        flag_value="50",
-        metavar="[METRES]",
-        callback=lambda ctx, param, metres: False if metres is None else metres,
-        help="Move a start or goal that is not free to the nearest free cell, by at most 50 m or METRES.",
-    ),
+    SNAP,
 )
 CORRIDOR = click.option(
     "--corridor",
     type=Values(Corridor),
     help="Report the density of people beneath a corridor, for a ground risk assessment.",
 )
+PROCESSES = click.option(
+    "--workers", type=POSITIVE_COUNT, help="Number of processes (Dask).  [default: all cores]"
+)
 WORKERS = grouped_options(
     "workers",
     workers_of,
-    click.option(
-        "--workers", type=POSITIVE_COUNT, help="Number of processes (Dask).  [default: all cores]"
-    ),
+    PROCESSES,
     click.option(
         "--cluster",
         metavar="ADDRESS",

@@ -24,7 +24,7 @@ from jaxurban.cli.home import return_command
 from jaxurban.cli.info import info_command
 from jaxurban.cli.maps import maps_command
 from jaxurban.cli.plan import plan_command
-from jaxurban.cli.sensitivity import sensitivity_command, sensitivity_study_command
+from jaxurban.cli.sensitivity import sensitivity_command
 from jaxurban.cli.sky import sky_command
 from jaxurban.cli.study import study_command
 from jaxurban.cli.tune import tune_command
@@ -49,7 +49,6 @@ COMMANDS = (
     plan_command,
     return_command,
     sensitivity_command,
-    sensitivity_study_command,
     sky_command,
     study_command,
     tune_command,

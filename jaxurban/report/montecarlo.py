@@ -10,7 +10,7 @@ from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.figures.paths import plot_paths
-from jaxurban.report.sensitivity_study import weights_said
+from jaxurban.report.sensitivity import weights_said
 from jaxurban.report.write import Written, fill, first_lines, joined_with_and, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.decided import FEWEST_RUNS

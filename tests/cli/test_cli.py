@@ -259,7 +259,7 @@ def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_p
         [*route, "--when", "--refine"],
         ["check", str(made), str(wrong)],
         ["compare", str(made), str(made), "-o", str(made)],
-        ["sensitivity-study", str(made), "--queries", str(wrong), "--routes=3"],
+        ["sensitivity", str(made), ends[0], "--routes=3"],
         ["tune", str(made), "-o", "new", "--wish", "gps>=1", "--fit", "by_city=true"],
     ]
     runs = "".join(

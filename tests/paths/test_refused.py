@@ -279,7 +279,7 @@ def test_too_little_memory_is_told_before_it_runs_out(scene, monkeypatch):
         ("plan", ("--simplify", -1), ("tolerance_m must be a positive number of metres",)),
         ("plan", ("--mission", "land"), ("add -o FILE.plan",)),
         ("plan", ("--mission", "hover", "-o", "x.plan"), ("land",)),
-        ("sensitivity", ("--altitude", 35, "-o", "out"), ("no maps for altitude 35",)),
+        ("sensitivity", ("--altitude", 35, "-o", "out"), ("ask for altitude_m 35",)),
     ],
 )
 def test_a_command_refuses_in_one_sentence_and_ends_with_2(
@@ -297,6 +297,6 @@ def test_many_routes_over_cities_of_other_scenarios_are_refused(tmp_path, capsys
     for radius_m, city in enumerate(cities):
         made_maps(40, 60).save(city)
         write_json(city / "run.json", {"settings": {"vehicle": {"radius_m": radius_m}}})
-    code, _, err = run(capsys, "sensitivity-study", *cities, "--routes", 1, "-o", tmp_path / "out")
+    code, _, err = run(capsys, "sensitivity", *cities, "--routes", 1, "-o", tmp_path / "out")
     assert code == 2
     assert_one_sentence(err, "a and b give other weights, cost models, clearances or vehicles")

@@ -5,7 +5,6 @@ import pytest
 
 import jaxurban as ju
 from benchmarks.movingai import export_benchmark
-from jaxurban.report.sensitivity import sensitivity_markdown
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.montecarlo.trial import row_columns
 from jaxurban.studies.queries import weights_from
@@ -27,21 +26,18 @@ def test_its_weight_changes_the_route_of_plan_many_and_explain_agrees(noisy, end
     assert ju.explain(loud, noisy).totals["cost"] == pytest.approx(loud.cost, rel=1e-9)
 
 
-def test_sensitivity_finds_the_breakpoints_of_its_weight(noisy, ends, monkeypatch):
-    monkeypatch.setattr("jaxurban.studies.weights.sobol.NUM_REPEATS", 2)
+def test_sensitivity_finds_the_breakpoints_of_its_weight(noisy, ends, tmp_path):
     few = {"num_samples": 4, "objectives": ("distance", "noise"), "max_plans": 20}
     how = ju.studies.SensitivitySettings(vary=("noise", "gps"), **few)
-    found = ju.studies.sensitivity(
-        ju.cost_map(noisy, 20.0, weights=LOUD.replace(noise=1.0)), *ends, settings=how
-    )
-    assert found.names == NAMES
-    assert len(found.breakpoints("noise")) > 1
-    assert (
-        found.front.points["noise"].is_monotonic_decreasing
-        != found.front.points["noise"].is_monotonic_increasing
-    )
-    assert found.sobol.loc[("mean_noise", "noise"), "total"] > 0.1
-    assert "| noise | " in sensitivity_markdown(found)
+    under = {"altitudes_m": [20.0], "weights": LOUD.replace(noise=1.0), "progress": False}
+    found = ju.studies.sensitivity(noisy, tmp_path, [ends], settings=how, **under)
+    assert found.route.names == NAMES
+    assert len(found.route.breakpoints("noise")) > 1
+    traded = found.route.front.points["noise"]
+    assert traded.is_monotonic_decreasing != traded.is_monotonic_increasing
+    shares = found.tables["sobol"].set_index(["outcome", "weight_name"])
+    assert shares.loc[("mean_noise", "noise"), "total"] > 0.1
+    assert "| noise | " in (tmp_path / "report.md").read_text()
 
 
 def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_export(noisy, tmp_path):
