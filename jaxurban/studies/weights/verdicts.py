@@ -104,14 +104,15 @@ def _ranks(weights: pd.DataFrame, settings: SensitivitySettings) -> Iterator[Ver
         kinds = WeightVerdict.MATTERS_MORE, "routes", WeightVerdict.TIED
         for verdict in ranking.verdicts(*kinds):
             yield replace(verdict, facts={**verdict.facts, **wrong})
-    # No regret is below 0, so their size is what they tell.
-    costs = effects(regrets[names].to_numpy(), clusters).assign(name=names)
-    costs["low"] = costs.low.clip(lower=0)
-    for row in costs.sort_values("size", ascending=False).to_dict("records"):
-        more = varied[varied.weight_name == row["name"]].mean(numeric_only=True)
+
+    # No regret is below 0, so its size is what it says.
+    costs = effects(regrets, clusters).loc[names].sort_values("size", ascending=False)
+    rows: Any = costs.assign(low=costs.low.clip(lower=0)).itertuples()
+    for row in rows:
+        more = varied[varied.weight_name == row.Index].mean(numeric_only=True)
         facts = wrong | {"paid": paid_said(more)}
-        size = row["size"], row["low"], row["high"]
-        yield Verdict(WeightVerdict.COSTS, (row["name"],), *size, row["n"], OF_COST, facts=facts)
+        size = row.size, row.low, row.high
+        yield Verdict(WeightVerdict.COSTS, (row.Index,), *size, row.n, OF_COST, facts=facts)
     if dead:
         yield Verdict(
             WeightVerdict.NO_CHANGE, tuple(dead), 0.0, n=len(regrets), facts=_range(settings)
