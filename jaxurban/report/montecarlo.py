@@ -65,14 +65,15 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
     ``complementarity``, which compares GPS with lidar, is among them only where the maps hold both.
     """
     table = result.table
-    rankings = analysis.rankings(table).values()
     tables = {
-        "ranks": pd.concat([each.table for each in rankings]),
-        "pairs": pd.concat([each.pairs.assign(measure=each.measure) for each in rankings]),
         "success": analysis.success(table),
         "times": analysis.times(table),
         "objectives": analysis.objectives(table),
     }
+    for ranking in analysis.rankings(table).values():
+        for name, part in (("ranks", ranking.table), ("pairs", ranking.pairs)):
+            part = part.assign(measure=ranking.measure)
+            tables[name] = pd.concat([tables[name], part]) if name in tables else part
     if set(analysis.SENSORS) <= set(result.maps.metrics):
         altitudes_m = sorted(table.altitude_m.unique())
         complementarity = analysis.complementarity(result.maps, altitudes_m=altitudes_m)

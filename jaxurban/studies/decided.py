@@ -197,7 +197,7 @@ def effects(values: np.ndarray | pd.DataFrame, clusters: Clusters) -> pd.DataFra
     """
     table = pd.DataFrame(values)
     size = table.mean()
-    num = table.notna().apply(lambda is_known: clusters.groups_of(is_known.to_numpy()))
+    num = pd.Series(map(clusters.groups_of, table.notna().to_numpy().T), table.columns, dtype=int)
     drawn = pd.DataFrame({name: clusters.drawn(table[name].to_numpy()) for name in table})
     spread = drawn.std(ddof=0)
 

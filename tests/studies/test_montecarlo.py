@@ -167,7 +167,7 @@ def test_the_report_holds_every_table_figure_and_sentence(study, tmp_path):
         assert f"## {title}" in report
     for picture in (tmp_path / "figures").glob("*.png"):
         assert f"figures/{picture.name}" in report
-    assert len(list((tmp_path / "figures").glob("*.png"))) == 3  # one of them the border's
+    assert len(list((tmp_path / "figures").glob("*.png"))) == 2
     assert "nan" not in report
     assert report.count("© a made city") == 1
 

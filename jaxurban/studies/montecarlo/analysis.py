@@ -20,7 +20,7 @@ from jaxurban.studies.decided import (
     Conclusion,
     Measure,
     Ranking,
-    SharedVerdict,
+    Verdict,
     border_verdict,
     concluded,
     effects,
@@ -173,7 +173,7 @@ def _changes(pairs: pd.DataFrame) -> dict[str, float]:
 
 
 class StudyVerdict(Enum):
-    """What a benchmark decides of two planners."""
+    """What a benchmark decides of two planners, by each measure of `rankings`."""
 
     COSTS_MORE = "{last} costs {size} more than {first} where both find a path ({n})"
     FINDS_LESS = "{last} finds a path for {size} fewer of the joined pairs than {first} ({n})"
@@ -183,16 +183,18 @@ def rankings(table: pd.DataFrame) -> dict[str, Ranking]:
     """Return the planners in groups of ranks by ``"cost"`` and by ``"pairs solved"``.
 
     Costs are compared by their ratio on the pairs that both planners solved, in percent; pairs solved in percentage
-    points of the joined pairs. All intervals hold at once; instances are drawn, with all their altitudes.
+    points of the joined pairs. All intervals hold at once; instances are drawn, with all their altitudes. Without a
+    joined pair there is no rank.
 
     Args:
       table: from `with_instances`; only runs of the weighted objective count.
     """
     rows = weighted_rows(table)
-    rows = rows[rows.is_joined].assign(percent=100.0 * rows.has_path)
-    cost = rows.cost.where(rows.has_path & (rows.cost > 0))
-    costs = rows.assign(cost=cost).pivot(index=KEY, columns="planner", values="cost")
-    percent = rows.pivot(index=KEY, columns="planner", values="percent")
+    rows = rows[rows.is_joined].set_index([*KEY, "planner"])
+    if rows.empty:
+        return {}
+    costs = rows.cost.where(rows.has_path & (rows.cost > 0)).unstack("planner")
+    percent = 100.0 * rows.has_path.unstack("planner").astype(float)
     measures = {
         "cost": Measure(costs, is_ratio=True),
         "pairs solved": Measure(percent, "percentage points", is_better_high=True),
@@ -213,17 +215,16 @@ def conclusion(table: pd.DataFrame) -> Conclusion:
     Args:
       table: from `with_instances`.
     """
-    of_cost, of_pairs = rankings(table).values()
-    verdicts = of_cost.verdicts(StudyVerdict.COSTS_MORE, "instances")
-    of_pairs_solved = of_pairs.verdicts(StudyVerdict.FINDS_LESS, "instances")
-    verdicts += [each for each in of_pairs_solved if each.kind is not SharedVerdict.EQUAL]
-    verdicts += border_verdict(best_rows(table).at_edge.to_numpy() == 1)
-    best = of_cost.names[0].partition(" ")[0] if of_cost.names else "astar-plus"
+    verdicts: list[Verdict] = []
+    for kind, ranking in zip(StudyVerdict, rankings(table).values(), strict=False):
+        verdicts += ranking.verdicts(kind, "instances")
+    best = best_rows(table)
+    verdicts += border_verdict(best.at_edge.to_numpy() == 1)
     return concluded(
         verdicts,
         more="jaxurban study SCENARIO -o DIR --set study.instances={needed}",
         wider='jaxurban study SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
-        done=f"jaxurban plan DIR --start LON,LAT --goal LON,LAT --planner {best}",
+        done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --planner PLANNER",
     )
 
 

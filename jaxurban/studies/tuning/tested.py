@@ -62,7 +62,7 @@ def tested_outcomes(
     table = effects(np.vstack([after, after - before]).T, Clusters(group))
     reached, change = np.split(table[["size", "low", "high"]].to_numpy(), 2)
     num = table.n[: len(outcomes)]
-    needed = table.needed[len(outcomes) :].to_numpy()
+    needed = table.needed[len(outcomes) :].to_numpy(copy=True)
     for number, target in enumerate(targets):
         size, low, high = reached[number] - target.value
         needed[number] = runs_needed(size, low, high, num[number])
