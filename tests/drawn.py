@@ -182,18 +182,6 @@ def _building_costs(plot, case: Case) -> Figure:
     return plot(replace(city, attribution=CREDIT) if case.is_hard else city, path, table, maps.grid)
 
 
-def _success(plot, case: Case) -> Figure:
-    planners = case.pick(PLANNERS[:2], (*PLANNERS, "theta-star refined", "OMPL BIT*"))
-    ranges = ["up to 500 m", "500 to 1,000 m", "1,000 to 2,500 m"]
-    rows = [
-        (planner, z, name, 0.5)
-        for planner in planners
-        for z in case.pick((20.0,), (20.0, 60.0, 122.0, 600.0))
-        for name in ranges
-    ]
-    return plot(pd.DataFrame(rows, columns=["planner", "altitude_m", "range", "share_joined"]))
-
-
 def _costs(plot, case: Case) -> Figure:
     planners = case.pick(PLANNERS[:2], (*PLANNERS, "theta-star refined", "OMPL BIT*"))
     rng = np.random.default_rng(1)
@@ -336,7 +324,6 @@ PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
     "metrics.plot_sensor_choice": _all_maps,
     "montecarlo.plot_complementarity": _complementarity,
     "montecarlo.plot_costs": _costs,
-    "montecarlo.plot_success": _success,
     "paths.plot_overview": _overview,
     "paths.plot_paths": _paths,
     "profile.plot_profile": _profile,

@@ -688,6 +688,8 @@ TABLE: dict[str, dict[str, Any]] = {
     },
     "fit_targets": {
         "start": ju.Weights(risk=9.0),
+        "before": ju.Weights(risk=9.0),
+        "hold_out": 0.5,
         "settings": ju.fit.FitSettings(max_rounds=1, seed=3),
     },
     "fit_weights": {
