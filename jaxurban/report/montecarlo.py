@@ -91,15 +91,11 @@ def report_markdown(
       tables: from `tables_of`.
       figures: names of the pictures that lie beside the report.
     """
-    # What has enough runs; of the joined pairs that were solved the percentages: a row per planner and range, a column
-    # per altitude.
+    # What has enough runs.
     shown = dict(tables)
     for name, num in COUNTS.items():
         if len(shown[name]):
             shown[name] = shown[name].query(f"{num} >= {FEWEST_RUNS}")
-    success = shown["success"]
-    solved = success.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
-    shown["success"] = (100 * solved).rename(columns=lambda z: f"{z:g} m (%)").reset_index()
 
     # The share of pairs of places that some path joins, by altitude, and the budget of a run in words.
     table = result.table

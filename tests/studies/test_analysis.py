@@ -82,8 +82,8 @@ def test_success_counts_paths_pairs_and_crashes(table):
     found = analysis.success(table).set_index(["planner", "range"])
     cheap = found.loc[(CHEAP, "long")]
     assert (cheap.pairs, cheap.paths, cheap.joined, cheap.crashed) == (6, 4, 5, 1)
-    shares = cheap.share_joined, cheap.proven, found.loc[(LINE, "short")].share
-    assert shares == pytest.approx((4 / 5, 4 / 6, 4 / 6))
+    shares = cheap.solved, cheap.proven, found.loc[(LINE, "short")].solved
+    assert shares == pytest.approx((100 * 4 / 5, 100 * 4 / 6, 100 * 4 / 6))
 
 
 def test_times_are_by_planner_and_altitude(table):

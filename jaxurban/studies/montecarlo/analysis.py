@@ -26,7 +26,7 @@ from jaxurban.studies.decided import (
     effects,
     ranked,
 )
-from jaxurban.studies.montecarlo.sampling import KEY, RANGES
+from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
 SENSORS = ("gps", "lidar")  # the metrics of two sensors that may complement each other
@@ -77,18 +77,12 @@ def weighted_rows(table: pd.DataFrame) -> pd.DataFrame:
     return table[table.objective == WEIGHTED]
 
 
-def range_names(table: pd.DataFrame) -> list[str]:
-    """Return the ranges that a table holds, from short to long, and after them any other name."""
-    names = dict.fromkeys([*RANGES, "any", *sorted(set(table.range))])
-    return [name for name in names if name in set(table.range)]
-
-
 def success(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the share of pairs for which each planner found a path, a row per planner, altitude and range.
+    """Return for how many pairs each planner found a path, a row per planner, altitude and range.
 
-    ``pairs``, ``paths``, ``joined`` and ``crashed`` are counts. ``share`` is the share of all pairs with a path,
-    ``share_joined`` that of the pairs that some path joins (NaN if there is none), and ``proven`` the share of all
-    pairs with the status optimal.
+    ``pairs``, ``paths``, ``joined`` and ``crashed`` are counts. ``solved`` is the percentage of the pairs that some
+    path joins for which the planner found one (NaN if there is none), and ``proven`` that of all pairs with the
+    status optimal.
 
     Args:
       table: from `with_instances`; only runs of the weighted objective count.
@@ -101,9 +95,8 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     result = grouped.agg(
         pairs=("has_path", "size"), paths=("has_path", "sum"), joined=("is_joined", "sum")
     )
-    result["share"] = result.paths / result.pairs
-    result["share_joined"] = (result.paths / result.joined).where(result.joined > 0)
-    result["proven"] = grouped.proven.mean()
+    result["solved"] = 100 * result.paths / result.joined.where(result.joined > 0)
+    result["proven"] = 100 * grouped.proven.mean()
     result["crashed"] = grouped.has_crashed.sum()
     return result.reset_index()
 

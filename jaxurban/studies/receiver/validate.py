@@ -34,12 +34,9 @@ CHANCE = 0.5  # AUC of what does not tell seen from hidden
 class SkyVerdict(Enum):
     """What a log decides of the city's hidden satellites; an AUC of 0.5 is that of chance."""
 
-    AUC = "Satellites that the maps see are heard more strongly than those they hide: AUC {size} ({n})"
-    WITHIN = "So is each satellite itself while it is seen: AUC {size} ({n})"
-    AUC_OPEN = "Whether seen satellites are heard more strongly than hidden ones: AUC {size} ({n})"
-    WITHIN_OPEN = "Whether each satellite is heard more strongly while it is seen: AUC {size} ({n})"
-    AUC_LESS = "Satellites that the maps see are heard less strongly than those they hide: AUC {size} ({n})"
-    WITHIN_LESS = "Each satellite is heard less strongly while it is seen: AUC {size} ({n})"
+    MORE = "{what}: what the maps see is heard more strongly than what they hide, AUC {size} ({n})"
+    LESS = "{what}: what the maps see is heard less strongly than what they hide, AUC {size} ({n})"
+    OPEN = "{what}: whether what the maps see is heard more strongly is open, AUC {size} ({n})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,16 +96,15 @@ class ReceiverValidation(Result):
     def decided(self) -> Conclusion:
         """Whether satellites that the maps see are heard more strongly, all together and each for itself."""
         num = self.summary["num_blocks"]
+        noun = f"blocks of {self.settings.block_m:g} m of track"
         verdicts = []
-        for name in ("auc", "within"):
+        for name, what in (("auc", "All satellites"), ("within", "Each satellite for itself")):
             value, low, high = self.score()[interval_columns(name)]
             needed = runs_needed(value - CHANCE, low - CHANCE, high - CHANCE, num)
-            suffix = "_OPEN"
-            if not needed:
-                suffix = "" if value > CHANCE else "_LESS"
-            kind = SkyVerdict[name.upper() + suffix]
-            noun = f"blocks of {self.settings.block_m:g} m of track"
-            verdicts.append(Verdict(kind, (), value, low, high, num, noun=noun, needed=needed))
+            kind = SkyVerdict.MORE if value > CHANCE else SkyVerdict.LESS
+            if needed:
+                kind = SkyVerdict.OPEN
+            verdicts.append(Verdict(kind, (what,), value, low, high, num, "", noun, needed))
         return concluded(
             verdicts,
             more="jaxurban validate SCENARIO LONGER_LOG -o OUT",
