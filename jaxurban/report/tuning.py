@@ -345,7 +345,7 @@ def outputs_of(
             fields["fits"] = fits_section(result)
     else:
         template = "targets"
-        noun = "route without the wish"
+        noun = "usual route"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
         tables["outcomes"] = outputs["targets"] = fit.outcomes.join(alone).reset_index()
