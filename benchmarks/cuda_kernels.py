@@ -35,7 +35,7 @@ from jaxurban.planners.bulk import EDGES_TOGETHER, NODES_TOGETHER
 from jaxurban.planners.cost import STEPS
 from jaxurban.planners.tile_search import TILES_TOGETHER
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
-from jaxurban.studies.tuning.target_fit import Target
+from jaxurban.studies.tuning.target import Target
 from jaxurban.studies.weights import buildings
 from jaxurban.world import surface
 from jaxurban.world.grid import Grid

@@ -324,7 +324,7 @@ def files(name: str, folder: Path) -> tuple[Took, Facts]:
 
 
 def studies(folder: Path) -> tuple[Took, Facts]:
-    """The commands ``study`` (BIT* by a number of samples) and ``sensitivity-study``, and the tables they write."""
+    """The commands ``study`` (BIT* by a number of samples) and ``sensitivity``, and the tables they write."""
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
         scenario, out, table = (
             Path(scratch, "scenario.toml"),
@@ -344,9 +344,9 @@ def studies(folder: Path) -> tuple[Took, Facts]:
             1,
         )
         queries(ju.open_maps(out), 3, 6).assign(altitude_m=ALTITUDE_M).to_csv(table, index=False)
-        asked = ("--queries", table, "--samples", 16, "--workers", 1)
+        asked = ("--routes", table, "--study", "num_samples=16", "--workers", 1)
         took |= jaxurban(
-            "sensitivity", "sensitivity-study", out, *asked, "-o", Path(scratch, "sensitivity")
+            "sensitivity", "sensitivity", out, *asked, "-o", Path(scratch, "sensitivity")
         )
         return took, of_files(Path(scratch))
 

@@ -7,7 +7,7 @@ from jaxurban.studies.study_demonstrations import (
 )
 from jaxurban.studies.tuning.compared_fits import FitComparison as FitComparison
 from jaxurban.studies.tuning.compared_fits import compare_fits as compare_fits
-from jaxurban.studies.tuning.target_fit import Target as Target
+from jaxurban.studies.tuning.target import Target as Target
 from jaxurban.studies.tuning.target_fit import TargetFit as TargetFit
 from jaxurban.studies.tuning.target_fit import fit_targets as fit_targets
 from jaxurban.studies.tuning.weight_fit import WeightFit as WeightFit

@@ -9,12 +9,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
-
-import numpy as np
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from jaxurban.checks import as_text, at_least, finite, positive, typed, values_given
 from jaxurban.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 CostKind = Literal["cell", "line"]
 Diagonal = Literal["both-free", "always"]
@@ -24,6 +25,7 @@ Preset = Literal["", "paper"]
 UnknownHeights = Literal["guess", "likely", "highest"]
 PlannerName = Literal[
     "ptp",
+    "astar",
     "astar-dist",
     "astar-plus",
     "bitstar-dist",
@@ -74,7 +76,7 @@ FULL_TURN_DEG = 180.0
 PREFIX = "vehicle_"  # of its entries among the constraints that a path was planned under
 
 
-def parse_time(time: str | datetime | np.datetime64) -> datetime:
+def parse_time(time: "str | datetime | np.datetime64") -> datetime:
     """Return a time in UTC, to the microsecond; a time without an offset is taken as UTC.
 
     Args:
@@ -85,11 +87,11 @@ def parse_time(time: str | datetime | np.datetime64) -> datetime:
     """
     # Python's time; ValueError comes from a text of another form, and OverflowError from an offset at an end of time.
     try:
-        if isinstance(time, np.datetime64):
+        if not isinstance(time, str | datetime):
             time = str(time.astype("datetime64[us]"))
         parsed = time if isinstance(time, datetime) else datetime.fromisoformat(time)
         parsed = parsed.replace(tzinfo=UTC) if parsed.tzinfo is None else parsed.astimezone(UTC)
-    except (TypeError, ValueError, OverflowError) as error:
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{str(time)!r} is not a time: write it as 2020-04-27T16:00:00Z"
         ) from error
@@ -100,7 +102,7 @@ def parse_time(time: str | datetime | np.datetime64) -> datetime:
     return parsed
 
 
-def iso_utc(time: str | datetime | np.datetime64) -> str:
+def iso_utc(time: "str | datetime | np.datetime64") -> str:
     """Return a time (as for `parse_time`) as ISO 8601 UTC with a trailing Z."""
     parsed = parse_time(time)
     return parsed.isoformat().replace("+00:00", "Z")
@@ -355,7 +357,7 @@ class Planning:
 
     Attributes:
       preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance where those are left out.
-      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
+      planner: ``"ptp"``, ``"astar"``, ``"theta-star"`` ...
       cost_model: how steps are costed (`jaxurban.planners.cost.CostModel`); left out: ``"line"``.
       obstacles: where planners may fly (`jaxurban.maps.metric_maps.MetricMaps`); left out: ``"touched"``.
       clearance_m: horizontal distance from buildings as high as the path; left out: 0 m.
@@ -378,7 +380,7 @@ class Planning:
     """
 
     preset: Preset = ""
-    planner: PlannerText = "astar-plus"
+    planner: PlannerText = "astar"
     cost_model: CostKind | None = None
     obstacles: ObstacleRule | None = None
     clearance_m: float | None = None
@@ -467,7 +469,7 @@ class Vehicle:
             )
         if self.power_w is not None and self.speed_m_s is None:
             raise InputError(
-                "power_w gives an energy only over a time: give the speed (speed_m_s, --speed) too"
+                "power_w gives an energy only over a time: give the speed (speed_m_s, in `[vehicle]` or --report) too"
             )
 
     @classmethod
@@ -500,7 +502,7 @@ class Vehicle:
         named = {item.name: getattr(self, item.name) for item in fields(self)}
         return {PREFIX + name: float(value) for name, value in named.items() if value}
 
-    def flight_s(self, air_m: np.ndarray, rise_m: np.ndarray, speed_m_s: float) -> np.ndarray:
+    def flight_s(self, air_m: "np.ndarray", rise_m: "np.ndarray", speed_m_s: float) -> "np.ndarray":
         """Return the seconds that straight parts of a route take; without a limit, heights change at any speed.
 
         Args:
@@ -516,8 +518,10 @@ class Vehicle:
           >>> vehicle.flight_s(np.array([100.0, 100.0]), np.array([0.0, 40.0]), 10.0).tolist()
           [10.0, 20.0]
         """
+        import numpy as np  # here: the settings of commands are read without it
+
         cruise_s = air_m / speed_m_s
         # The seconds of a climb are below 0 in a descent, and those of a descent in a climb.
-        climb_s = rise_m / (self.max_climb_m_s or np.inf)
-        descent_s = -rise_m / (self.max_descent_m_s or np.inf)
+        climb_s = rise_m / (self.max_climb_m_s or math.inf)
+        descent_s = -rise_m / (self.max_descent_m_s or math.inf)
         return np.maximum(cruise_s, np.maximum(climb_s, descent_s))

@@ -20,6 +20,10 @@
 
 # %%
 # %matplotlib inline
+import shutil
+import tempfile
+from pathlib import Path
+
 import jaxurban as ju
 from jaxurban.report.figures import plot_paths
 from jaxurban.report.figures.sensitivity import (
@@ -28,24 +32,27 @@ from jaxurban.report.figures.sensitivity import (
     plot_pareto,
 )
 
+folder = Path(tempfile.mkdtemp())
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
 start, goal = (
     (-74.0162, 40.7036),
     (-73.9817, 40.7265),
 )  # longitude, latitude: the Battery, Tompkins Square
-found = ju.studies.sensitivity(ju.cost_map(maps, 20.0), start, goal, snap=True)
-print(f"{found.num_plans:,} searches in {found.elapsed_s:.1f} s")
+found = ju.studies.sensitivity(
+    maps, folder / "one", [(start, goal)], altitudes_m=[20.0], snap=True, progress=False
+)
+found.decided
 
 # %% [markdown]
 # ## What the route is made of
 #
-# `gradient` is what one more unit of a weight would cost. `elasticity` is the weight's share of the cost. A share is a
-# level: a number added to a layer everywhere raises it and changes no route, so it says nothing of how much a weight
-# matters.
+# `elasticity` is the weight's share of the cost. A share is a level: a number added to a layer everywhere raises it and
+# changes no route, so it says nothing of how much a weight matters. `regret` is what a weight twice too large or too
+# small would cost.
 
 # %%
-found.cost.round(3)
+found.tables["weights"][["weight_name", "elasticity", "below", "above", "regret"]].round(3)
 
 # %% [markdown]
 # ## One weight at a time
@@ -53,10 +60,17 @@ found.cost.round(3)
 # Along each weight the cheapest cost bends at every breakpoint.
 
 # %%
-plot_breakpoints(found)
+plot_breakpoints(found.route)
 
 # %%
-plot_breakpoint_routes(found)
+plot_breakpoint_routes(found.route)
+
+# %% [markdown]
+# Most breakpoints move the route by a cell or two. At which `factor` does the drone fly another way, which keeps less
+# than half of its cells, and what does that cost?
+
+# %%
+found.tables["ways"].round(3)
 
 # %% [markdown]
 # The routes along one weight as a table: each row is a route, cheapest `from` one value of the weight `to` another;
@@ -64,7 +78,7 @@ plot_breakpoint_routes(found)
 # the mean of a map along the route.
 
 # %%
-found.breakpoints("lidar").drop(columns="weight_name").round(3)
+found.route.breakpoints("lidar").drop(columns="weight_name").round(3)
 
 # %% [markdown]
 # ## All weights at once
@@ -74,7 +88,7 @@ found.breakpoints("lidar").drop(columns="weight_name").round(3)
 # more samples (`num_samples`) narrow.
 
 # %%
-found.sobol.round(2)
+found.tables["sobol"].drop(columns=["city", "instance", "altitude_m"]).round(2)
 
 # %% [markdown]
 # ## What can be had for what
@@ -82,7 +96,7 @@ found.sobol.round(2)
 # No route on this front can be bettered in one objective without giving up some of another.
 
 # %%
-plot_pareto(found)
+plot_pareto(found.route)
 
 # %% [markdown]
 # ## Try it yourself
@@ -100,6 +114,12 @@ plot_paths(maps, [shortest, on.plan(start, goal, snap=True)], names=["shortest",
 
 # %%
 ju.view(maps, weights=mine)
+
+# %% [markdown]
+# The report, with all tables and pictures, lies in `folder / "one"`. It can be deleted:
+
+# %%
+shutil.rmtree(folder)
 
 # %% [markdown]
 # ## A question to try

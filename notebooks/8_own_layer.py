@@ -21,6 +21,9 @@
 
 # %%
 # %matplotlib inline
+import tempfile
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -106,10 +109,18 @@ plot_paths(maps, list(routes.values()), names=list(routes))
 # to ten times 3:
 
 # %%
-on = ju.cost_map(maps, 20.0, weights={"complaints": 3, "gusts": 1})
 settings = ju.studies.SensitivitySettings(vary=("complaints", "gusts"), num_samples=16)
-found = ju.studies.sensitivity(on, start, goal, snap=True, settings=settings)
-plot_breakpoint_routes(found)
+found = ju.studies.sensitivity(
+    maps,
+    Path(tempfile.mkdtemp()),
+    [(start, goal)],
+    altitudes_m=[20.0],
+    weights={"complaints": 3, "gusts": 1},
+    snap=True,
+    settings=settings,
+    progress=False,
+)
+plot_breakpoint_routes(found.route)
 
 # %% [markdown]
 # And by hand, in the viewer, where a notebook is running:

@@ -14,7 +14,7 @@
 # **Which weights matter, and do two cities agree?**
 #
 # One route on one map (notebook 6) is an anecdote. A paper needs many routes, altitudes and cities, and intervals that
-# say how much of the answer is chance. `ju.studies.sensitivity_study` draws routes by stratum and range and asks every
+# say how much of the answer is chance. `ju.studies.sensitivity` draws routes by stratum and range and asks every
 # one of them the same questions.
 #
 # The cities are those of the package, Lower Manhattan and Shinjuku in Tokyo; folders of maps of your own would do as
@@ -29,7 +29,7 @@ from pathlib import Path
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_regret
+from jaxurban.report.figures.sensitivity import plot_nearest, plot_regret
 
 maps = {
     name: ju.build_maps(
@@ -47,14 +47,14 @@ pd.set_option("display.max_colwidth", None, "display.max_rows", 100)
 # it, and the same call goes on. More routes (`30`) and samples (`num_samples=64`) narrow every interval.
 
 # %%
-found = ju.studies.sensitivity_study(
+found = ju.studies.sensitivity(
     maps,
     folder / "study",
     10,
-    settings=ju.studies.SensitivityStudySettings(num_samples=4),
+    settings=ju.studies.SensitivitySettings(num_samples=4),
     progress=False,
 )
-print(f"{len(found.rows)} routes")
+found.decided
 
 # %% [markdown]
 # ## What a wrong weight costs
@@ -91,10 +91,10 @@ plot_nearest(summary, found.settings.wrong)
 # %% [markdown]
 # ## Where a weight matters
 #
-# The regret by what lies below start and goal, and by altitude.
+# The regret by what lies below start and goal. Parts with fewer than ten routes are merged.
 
 # %%
-summary[summary.cut == "stratum, altitude_m"].pivot(
+summary[summary.cut == "stratum"].pivot(
     index="value", columns="weight_name", values="regret"
 ).round(4)
 

@@ -107,6 +107,7 @@ def astar(
     )
 
 
+astar_auto = partial(astar, heuristic=AUTO)  # the bound that suits the queries
 # The paper's two: guided by the straight distance, and by distance and map costs, with an admissible bound.
 astar_dist = partial(astar, heuristic="euclidean", planner="astar-dist")
 astar_plus = partial(astar, heuristic=AUTO, planner="astar-plus")

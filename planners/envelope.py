@@ -21,7 +21,7 @@ CostFunction = Callable[
 
 @typed
 def planned_cost(
-    problem: Problem, planner: str | Callable[[Problem], Path] = "astar-plus"
+    problem: Problem, planner: str | Callable[[Problem], Path] = "astar"
 ) -> CostFunction:
     """Return the cost of the path that a planner finds, as a function that JAX can differentiate.
 

@@ -16,6 +16,7 @@ from jaxurban.planners.astar import (
     HEURISTICS,
     NUM_LANDMARKS,
     VOLUME_HEURISTICS,
+    astar_auto,
     astar_dist,
     astar_plus,
     exact_cost_to_go,
@@ -25,11 +26,11 @@ from jaxurban.planners.astar import (
 from jaxurban.planners.base import Cell, Path, Problem, ProblemCache, grouped
 from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
-from jaxurban.settings import Backend
+from jaxurban.settings import DEFAULTS, Backend
 
 Outcome = tuple[int, Path | Exception]
 
-EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the search by tiles can stand for
+EXACT_PLANNERS = ("astar", "astar-dist", "astar-plus")  # which the search by tiles can stand for
 TILED_HEURISTICS = (None, AUTO, "octile")
 # Whose batches `solve_batched` searches in bulk.
 SAMPLING_PLANNERS = ("bitstar-dist", "bitstar-plus")
@@ -61,6 +62,9 @@ class PlannerEntry:
 
 PLANNERS = {
     "ptp": PlannerEntry(ptp, "the straight segment from start to goal"),
+    "astar": PlannerEntry(
+        astar_auto, "A*: the cheapest path on the grid, with a proof", AUTO, (AUTO, *HEURISTICS)
+    ),
     "astar-dist": PlannerEntry(
         astar_dist, "A* guided by the straight distance", "euclidean", (AUTO, *HEURISTICS)
     ),
@@ -83,6 +87,8 @@ PLANNERS = {
         theta_star, "any-angle search, for the line cost model only", "plus", OFF_GRID_HEURISTICS
     ),
 }
+# One planner of each method: what A* finds costs the same under either heuristic of the paper, by proof.
+BY_METHOD = tuple(name for name in PLANNERS if name not in ("astar-dist", "astar-plus"))
 VOLUME_PLANNERS = {
     "astar-volume": PlannerEntry(
         volume_astar,
@@ -151,7 +157,7 @@ def _in_jax(problem: Problem, **query: Any) -> Path:
 def solve_many(
     problems: Sequence[Problem],
     *,
-    planner: str = "astar-plus",
+    planner: str = DEFAULTS.planner,
     heuristic: str | None = None,
     backend: Backend = "auto",
     budget_s: float = np.inf,
@@ -166,12 +172,12 @@ def solve_many(
 
     - ``"numba"``: the planner itself, query by query, on ``num_threads`` threads. The compiled A* leaves them free to
       run side by side.
-    - ``"jax"``: the queries on a map together; for ``astar-dist`` and ``astar-plus`` by tiles, which gives their
+    - ``"jax"``: the queries on a map together; for those of A* by tiles, which gives their
       results (see `solve_by_tiles`), for ``bitstar-dist`` and ``bitstar-plus`` batch by batch (see `solve_batched`).
-    - ``"auto"``: ``"jax"`` where JAX has a GPU, the planner is ``astar-dist`` or ``astar-plus`` and there are at least
+    - ``"auto"``: ``"jax"`` where JAX has a GPU, the planner is of A* and there are at least
       `GPU_BATCH` queries; else ``"numba"``, which is several times as fast on a CPU.
 
-    Where the planner chooses its heuristic itself, as ``astar-plus`` does, `choose_heuristics` does so from all
+    Where the planner chooses its heuristic itself, as ``astar`` does, `choose_heuristics` does so from all
     problems, and what queries share is made first: fields, by Dijkstra's search in Numba, on which ``"exact"`` walks in
     Numba too. Each path's backend and heuristic say what ran.
 

@@ -279,26 +279,21 @@ def of_study(**given: Any) -> Any:
 
 def weights_study(**given: Any) -> Any:
     usual: dict[str, Any] = {"progress": False, "routes": 2, "altitudes_m": [60.0]}
-    quick = ju.studies.SensitivityStudySettings(vary=("gps",), num_samples=0)
+    quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=0)
     sources = given.pop("sources", {"town": maps()})
-    return ju.studies.sensitivity_study(
-        sources, a_file("weights"), **usual | {"settings": quick} | given
-    )
+    return ju.studies.sensitivity(sources, a_file("weights"), **usual | {"settings": quick} | given)
 
 
 def of_weights_study(**given: Any) -> Any:
-    usual: dict[str, Any] = {"vary": ("gps",), "num_samples": 0}
-    return weights_study(
-        settings=ju.studies.SensitivityStudySettings(**usual | given),
+    usual: dict[str, Any] = {"vary": ("gps",), "num_samples": 2, "max_plans": 9}
+    result = weights_study(
+        routes=[(START, GOAL)],
+        altitudes_m=[20.0],
+        snap=True,
+        settings=ju.studies.SensitivitySettings(**usual | given),
         sources={"town": ju.studies.MapsFolder(home() / "maps", 20.0)},
     )
-
-
-def ranges(**given: Any) -> Any:
-    usual: dict[str, Any] = {"vary": ("gps",), "num_samples": 2, "max_plans": 9}
-    settings = given.pop("settings", None) or ju.studies.SensitivitySettings(**usual | given)
-    result = ju.studies.sensitivity(on(), START, GOAL, snap=True, settings=settings)
-    return result.settings, result.tables()
+    return result.settings, result.tables
 
 
 def checked(mission: Path | None = None, **given: Any) -> Any:

@@ -182,18 +182,6 @@ def _building_costs(plot, case: Case) -> Figure:
     return plot(replace(city, attribution=CREDIT) if case.is_hard else city, path, table, maps.grid)
 
 
-def _success(plot, case: Case) -> Figure:
-    planners = case.pick(PLANNERS[:2], (*PLANNERS, "theta-star refined", "OMPL BIT*"))
-    ranges = ["up to 500 m", "500 to 1,000 m", "1,000 to 2,500 m"]
-    rows = [
-        (planner, z, name, 0.5)
-        for planner in planners
-        for z in case.pick((20.0,), (20.0, 60.0, 122.0, 600.0))
-        for name in ranges
-    ]
-    return plot(pd.DataFrame(rows, columns=["planner", "altitude_m", "range", "share_joined"]))
-
-
 def _costs(plot, case: Case) -> Figure:
     planners = case.pick(PLANNERS[:2], (*PLANNERS, "theta-star refined", "OMPL BIT*"))
     rng = np.random.default_rng(1)
@@ -238,14 +226,12 @@ def _weighed(is_hard: bool) -> Any:
         lines[name] = Partition(corners, sums, sums, cells, True, 1e-3, 9, names)
     traded = ("distance", *varied[:2]) if is_hard else ("distance", "gps")
     points = pd.DataFrame({name: np.sort(rng.uniform(1e3, 3e4, 9)) for name in traded})
-    gradient = pd.Series({name: 1.5e4 for name in names})
     return SimpleNamespace(
-        maps=maps,
-        route=route,
+        path=replace(route, maps=maps),
         names=names,
         weights=np.ones(len(names)),
-        settings=SimpleNamespace(factors=(0.1, 10.0)),
-        cost=pd.DataFrame({"gradient": gradient}),
+        factors=(0.1, 10.0),
+        features=np.full(len(names), 1.5e4),
         lines=lines,
         line_routes=dict.fromkeys(varied, routes),
         front=SimpleNamespace(objectives=traded, points=points),
@@ -336,7 +322,6 @@ PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
     "metrics.plot_sensor_choice": _all_maps,
     "montecarlo.plot_complementarity": _complementarity,
     "montecarlo.plot_costs": _costs,
-    "montecarlo.plot_success": _success,
     "paths.plot_overview": _overview,
     "paths.plot_paths": _paths,
     "profile.plot_profile": _profile,
@@ -346,8 +331,8 @@ PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
     "sensitivity.plot_breakpoint_routes": _of_weights,
     "sensitivity.plot_breakpoints": _of_weights,
     "sensitivity.plot_pareto": _of_weights,
-    "sensitivity_study.plot_nearest": _of_summary,
-    "sensitivity_study.plot_regret": _of_summary,
+    "sensitivity.plot_nearest": _of_summary,
+    "sensitivity.plot_regret": _of_summary,
     "sky.plot_sky": _over_place,
     "tuning.plot_routes": _imitated,
     "tuning.plot_weights": _fitted,

@@ -346,8 +346,7 @@ USES: dict[str, Callable[..., Any]] = {
         home() / "maps", **{"resolution_m": 20.0} | given
     ).open(),
     "ReceiverSettings": validated,
-    "SensitivitySettings": on.ranges,
-    "SensitivityStudySettings": on.of_weights_study,
+    "SensitivitySettings": on.of_weights_study,
     "Study": on.of_study,
     "building_costs": lambda **given: ju.studies.building_costs(
         on.city(),
@@ -371,8 +370,7 @@ USES: dict[str, Callable[..., Any]] = {
     "sample_instances": lambda **given: ju.studies.sample_instances(
         on.maps(), **{"num": 3} | given
     ),
-    "sensitivity": on.ranges,
-    "sensitivity_study": on.weights_study,
+    "sensitivity": on.weights_study,
     "study": on.a_study,
     "validate": validated,
     "write_buildings": lambda **given: ju.studies.write_buildings(
@@ -425,7 +423,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "vertical_clearance_m": 15.0,
         "vehicle": ju.Vehicle(radius_m=20.0),
         "unknown_heights": "highest",
-        "above_gps_floor": WITHOUT_FLOOR,
     },
     "CostMap.plan": ENDS | SEARCH,
     "CostModel": {
@@ -698,6 +695,8 @@ TABLE: dict[str, dict[str, Any]] = {
     },
     "fit_targets": {
         "start": ju.Weights(risk=9.0),
+        "before": ju.Weights(risk=9.0),
+        "hold_out": 0.5,
         "settings": ju.fit.FitSettings(max_rounds=1, seed=3),
     },
     "fit_weights": {
@@ -755,22 +754,14 @@ TABLE: dict[str, dict[str, Any]] = {
     "SensitivitySettings": {
         "vary": ("risk",),
         "factors": (0.5, 2.0),
+        "wrong": 30.0,
         "num_samples": 4,
         "objectives": ("distance", "lidar"),
         "tolerance": 0.5,
         "max_plans": 1,
-        "seed": 3,
-    },
-    "SensitivityStudySettings": RULES
-    | {
-        "vary": ("risk",),
-        "factors": (0.99, 1.01),
-        "wrong": 30.0,
-        "num_samples": 2,
         "num_heights": 1,
         "has_parameters": True,
-        "seed": Case(3),
-        "num_threads": Same("any number of threads finds the same routes"),
+        "seed": 3,
     },
     "Study": {
         "instances": 3,
@@ -787,7 +778,6 @@ TABLE: dict[str, dict[str, Any]] = {
     },
     "building_costs": {"weights": ju.Weights(lidar=50.0)},
     "compare": {
-        "tolerance": 0.5,
         "routes": 2,
         "seed": Case(3, {"routes": 2}),
         "progress": PROGRESS,
@@ -802,18 +792,13 @@ TABLE: dict[str, dict[str, Any]] = {
         "cover": lambda: covered(),
         "seed": 3,
     },
-    "sensitivity": {
-        "snap": Same(
-            "the ends of the town's route are free or the call is refused: see make_queries"
-        ),
-        "settings": ju.studies.SensitivitySettings(vary=("risk",), num_samples=2, max_plans=9),
-        "progress": PROGRESS,
-    },
-    "sensitivity_study": {
+    "sensitivity": RULES
+    | {
         "routes": 3,
         "altitudes_m": [20.0],
         "weights": {"risk": 9.0},
-        "settings": ju.studies.SensitivityStudySettings(vary=("risk",), num_samples=0),
+        "snap": Same("drawn ends are free; the command's row has a route of a closed one"),
+        "settings": ju.studies.SensitivitySettings(vary=("risk",), num_samples=0),
         "scenarios": Case(
             lambda: {"town": ju.Scenario.from_toml(home() / "town.toml")}, refused="scenarios"
         ),
@@ -848,10 +833,9 @@ SLOW = (
     "compare_fits",
     "fit_targets",
     "fit_weights",
-    "SensitivityStudySettings",
     "write_buildings",
     "building_costs",
-    "sensitivity_study",
+    "sensitivity",
     "when",
     "SoftParams",
     "all_maps",
@@ -943,35 +927,27 @@ OF_ROUTE = {
     "--time-of-day": "night",
     "--time": LATER,
     "--resolution": "40",
-    "--obstacles": "centre",
     "--preset": "paper",
-    "--cost-model": "cell",
     "--weights": "risk=9",
     "--no-fly": "{home}/zone.geojson",
     "--require": "lidar>=0.1",
-    "--clearance": "25",
-    "--vertical-clearance": "15",
-    "--above-gps-floor": Case("", refused="these maps hold no GPS floor"),
-    "--unknown-heights": "highest",
+    "--rules clearance_m": "25",
+    "--rules vertical_clearance_m": "15",
+    "--rules unknown_heights": "highest",
+    "--rules obstacles": "centre",
+    "--rules cost_model": "cell",
     "--snap": "1",
 }
 OF_CORRIDOR = {
-    "--corridor": "20",
-    "--contingency": Case("40", ("--corridor=20",)),
-    "--ground-buffer": Case("90", ("--corridor=20",)),
-    "--density-cell": Case("60", ("--corridor=20",)),
+    "--corridor half_width_m": "20",
+    "--corridor contingency_m": Case("40,half_width_m=20", ("--corridor=20",)),
+    "--corridor buffer_m": Case("90,half_width_m=20", ("--corridor=20",)),
+    "--corridor cell_m": Case("60,half_width_m=20", ("--corridor=20",)),
 }
 RULES_OF_ROUTES = {
-    each: OF_ROUTE[each]
-    for each in (
-        "--preset",
-        "--no-fly",
-        "--require",
-        "--clearance",
-        "--vertical-clearance",
-        "--above-gps-floor",
-        "--unknown-heights",
-    )
+    name: case
+    for name, case in OF_ROUTE.items()
+    if name.startswith(("--preset", "--no-fly", "--require", "--rules"))
 }
 KNOWN_HEIGHTS = Same("no height of the made city is unknown; tests/paths/test_unknown_heights.py")
 DEVICE = Same("any device makes the same result, to rounding")
@@ -979,39 +955,37 @@ JSON = Same("it is how a result is printed")
 OVERWRITE = Same("it decides what a folder of other settings may lose")
 OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "plan": (
-        ("{home}/maps", *ROUTE, "--budget=60"),
+        ("{home}/maps", *ROUTE, "--planner=budget_s=60"),
         OF_ROUTE
         | OF_CORRIDOR
         | {
-            "--planner": "ptp",
-            "--heuristic": "landmarks",
-            "--backend": "jax",
-            "--budget": "1e-9",
-            "--seed": "5",
+            "--planner planner": "ptp",
+            "--planner heuristic": "landmarks",
+            "--planner backend": "jax",
+            "--planner budget_s": "1e-9",
+            "--planner seed": "5",
             "--refine": "",
             "--exposure": "lidar<=1",
             "--objective": "distance",
-            "--volume": "",
-            "--min-altitude": Case("60", ("--volume", "--altitude=60")),
-            "--max-altitude": Case("20", ("--volume",)),
-            "--level-step": Case("10", ("--volume",)),
-            "--climb-cost": Case("9", ("--volume", "--goal-altitude=60")),
-            "--descent-cost": Case("9", ("--volume", "--altitude=60", "--goal-altitude=20")),
-            "--goal-altitude": Case("60", ("--volume",)),
-            "--report": "",
-            "--speed": "5",
-            "--power": Case("90", ("--speed=5",)),
-            "--swath": "50",
+            "--volume goal_altitude_m": Case("60", ("--volume",)),
+            "--volume min_altitude_m": Case("60", ("--volume", "--altitude=60")),
+            "--volume max_altitude_m": Case("20", ("--volume",)),
+            "--volume level_step_m": Case("10", ("--volume",)),
+            "--volume climb_cost": Case("9,goal_altitude_m=60", ("--volume=60", "--resolution=20")),
+            "--volume descent_cost": Case("9,goal_altitude_m=20", ("--volume=20", "--altitude=60")),
+            "--report speed_m_s": "5",
+            "--report power_w": Case("90,speed_m_s=5", ("--report=5",)),
+            "--report swath_m": Case("50", ("--report",)),
             "--profile": Case("profile.txt", refused="profile.txt"),
             "--when": Case("", ("-o", "{out}.csv")),
             "--on-ground": "",
-            "--from-roof": Case(
-                "", ("-o", "{out}.plan"), refused="not over a roof of known height"
+            "--mission from_roof": Case(
+                "true", ("-o", "{out}.plan"), refused="not over a roof of known height"
             ),
             "-o": Case("path.txt", refused="path.txt"),
             "--simplify": "30",
-            "--end": Case("return", ("-o", "{out}.plan")),
-            "--fence-roofs": Case("60", ("-o", "{out}.plan")),
+            "--mission end": Case("return", ("-o", "{out}.plan")),
+            "--mission fence_roofs_m": Case("60", ("-o", "{out}.plan")),
             "--device": DEVICE,
             "--json": JSON,
         },
@@ -1020,21 +994,20 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         ("{home}/maps", "{mission}", "--resolution=20"),
         OF_CORRIDOR
         | {
-            "--heights": Case("ground", ("{kml}",)),
-            "--geoid": Case("-33", ("{kml}", "--heights=ellipsoid")),
+            "--heights above": Case("ground", ("{kml}",)),
+            "--heights geoid_m": Case("-33,above=ellipsoid", ("{kml}", "--heights=ellipsoid")),
+            "--heights home_above_ground_m": "5",
             "--home": Case("-73.9985,40.7565", ("{kml}", "--heights=home")),
             "--return-altitude": "90",
-            "--home-above-ground": "5",
             "--no-fly": "{home}/zone.geojson",
             "--require": "lidar>=0.5",
-            "--clearance": "60",
-            "--vertical-clearance": "30",
-            "--above-gps-floor": Case("", refused="these maps hold no GPS floor"),
+            "--rules clearance_m": "60",
+            "--rules vertical_clearance_m": "30",
             "--time": LATER,
             "--time-of-day": "night",
-            "--max-no-fix": "0.5",
-            "--max-people": "0.001",
-            "--ceiling": "2",
+            "--limits max_no_fix_m": "0.5",
+            "--limits max_people": "0.001",
+            "--limits ceiling_m": "2",
             "--weights": "risk=50",
             "--sources": Case("no/such/folder", refused="no/such"),
             "--resolution": "40",
@@ -1048,8 +1021,6 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         {
             "-o": Case("{home}/town.toml", refused="town.toml"),
             "--resolution": "40",
-            "--obstacles": Case("centre", ("--routes=2",)),
-            "--tolerance": "0.5",
             "--routes": "2",
             "--seed": Case("3", ("--routes=2",)),
             "--overwrite": OVERWRITE,
@@ -1062,8 +1033,8 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         ("{home}/maps", "--home={start}", "--resolution=20"),
         {
             "--home": "-73.993819,40.758629",
-            "--clearance": "30",
-            "--vertical-clearance": "9",
+            "--rules clearance_m": "30",
+            "--rules vertical_clearance_m": "9",
             "--ceiling": "2",
             "--resolution": "40",
             "-o": Case("home.txt", refused=".tif"),
@@ -1087,8 +1058,10 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     ),
     "study": (
         ("{home}/small.toml", "-o", "{out}", "--workers=1"),
-        RULES_OF_ROUTES
-        | {
+        {
+            "--preset": "paper",
+            "--no-fly": "{home}/zone.geojson",
+            "--require": "lidar>=0.1",
             "-o": Case("{home}/town.toml", refused="town.toml"),
             "--instances": Case("none.csv", refused="none.csv"),
             "--resolution": "40",
@@ -1108,15 +1081,14 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "{out}",
             "--sample=3",
             "--pilot=gps=1,distance=0.1",
-            "--rounds=2",
-            "--bootstrap=2",
+            "--fit=max_rounds=2,bootstrap=2",
             "--altitude=60",
         ),
         RULES_OF_ROUTES
         | {
             "-o": Case("{home}/town.toml", refused="town.toml"),
             "--sample": "4",
-            "--unknown-heights": KNOWN_HEIGHTS,
+            "--rules unknown_heights": KNOWN_HEIGHTS,
             "--pilot": "risk=1,distance=0.1",
             "--planner": Case("astar-plus", refused="planner"),
             "--wish": Case("detour<=0.1", refused="--wish"),
@@ -1125,74 +1097,40 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--time-of-day": "night",
             "--time": "2020-04-27T16:00:00Z",
             "--resolution": "40",
-            "--cost-model": "cell",
-            "--obstacles": "centre",
-            "--scale": Same("the rows of fit_weights and compare_fits have it"),
-            "--bootstrap": "0",
-            "--hold-out": "0.5",
-            "--by-city": Same(
+            "--fit scale": Same("the rows of fit_weights and compare_fits have it"),
+            "--fit bootstrap": Case("0,max_rounds=2"),
+            "--fit hold_out": Case("0.5,max_rounds=2,bootstrap=2"),
+            "--fit by_city": Same(
                 "one city is fitted alone as it is with all: compare_fits has a row of two"
             ),
-            "--rounds": "1",
-            "--seed": "3",
-            "--budget": "1e-9",
+            "--fit max_rounds": Case("1,bootstrap=2"),
+            "--fit seed": Case("3,max_rounds=2,bootstrap=2"),
+            "--fit budget_s": Case("1e-9,max_rounds=2,bootstrap=2"),
             "--overwrite": OVERWRITE,
             "--device": DEVICE,
             "--json": JSON,
         },
     ),
     "sensitivity": (
-        ("{home}/maps", *ROUTE, "-o", "{out}", "--samples=2", "--vary=gps"),
-        OF_ROUTE
+        (
+            *("{home}/maps", *ROUTE, "-o", "{out}"),
+            *("--study=num_samples=2", "--vary=gps", "--workers=1"),
+        ),
+        {name: case for name, case in OF_ROUTE.items() if not name.startswith("--time")}
         | {
-            "--samples": "4",
-            "--pareto": "distance,risk",
-            "--tolerance": Case("0.5", ("--pareto=distance,lidar",)),
-            "--buildings": "",
-            "--scenario": Case("{home}/town.toml", refused="--scenario"),
+            "--rules unknown_heights": KNOWN_HEIGHTS,
+            "--routes": Case("none.csv", refused="none.csv"),
             "--vary": "risk",
             "--range": "0.5,2",
-            "--seed": "3",
-            "--overwrite": OVERWRITE,
-            "--device": DEVICE,
-            "--json": JSON,
-            "-o": Case("{home}/town.toml", refused="town.toml"),
-        },
-    ),
-    "sensitivity-study": (
-        (
-            "{home}/maps",
-            "--routes=2",
-            "--altitudes=60",
-            "--resolution=20",
-            "-o",
-            "{out}",
-            "--samples=0",
-            "--vary=gps",
-            "--workers=1",
-        ),
-        RULES_OF_ROUTES
-        | {
-            "--unknown-heights": KNOWN_HEIGHTS,
-            "--routes": "3",
-            "--altitudes": "20",
-            "--queries": Case("none.csv", refused="none.csv"),
-            "--resolution": "40",
-            "--obstacles": "centre",
-            "--cost-model": "cell",
-            "--weights": "risk=9",
-            "--wrong": "30",
-            "--samples": "2",
-            "--heights": "1",
-            "--parameters": "",
-            "--scenario": Case("{home}/town.toml", refused="--scenario"),
+            "--study num_samples": "4",
+            "--study num_heights": "1",
+            "--study has_parameters": "true",
+            "--study wrong": "30",
+            "--study seed": "3",
+            "--study tolerance": "0.5",
+            "--study max_plans": "1",
             "--workers": WORKERS,
-            "--cluster": WORKERS,
-            "--vary": "risk",
-            "--range": "0.99,1.01",
-            "--seed": "3",
             "--overwrite": OVERWRITE,
-            "--device": DEVICE,
             "--json": JSON,
             "-o": Case("{home}/town.toml", refused="town.toml"),
         },
@@ -1205,7 +1143,7 @@ NOT_WALKED = {
     "validate": "its options are rows of ReceiverSettings",
     "view": "it serves until it is stopped; ju.view has the rows",
 }
-SLOW_COMMANDS = ("plan", "check", "compare", "study", "tune", "sensitivity", "sensitivity-study")
+SLOW_COMMANDS = ("plan", "check", "compare", "study", "tune", "sensitivity")
 
 
 @cache
@@ -1262,12 +1200,14 @@ def option_ignored(run_with: Callable[..., tuple[int, Any]], command: str, optio
         return ""
     case = row if isinstance(row, Case) else Case(row)
     beside = (*words, *case.beside)
-    named = (f"{option}={case.value}",) if option.startswith("--") and case.value else (option,)
+    option, _, name = option.partition(" ")
+    value = f"{name}={case.value}" if name else case.value
+    named = (f"{option}={value}",) if option.startswith("--") and value else (option,)
     named = (option, case.value) if option == "-o" else named
     code, result = run_with(command, (*beside, *named))
     if case.refused is not None or code == 2:
         is_named = code == 2 and re.search(
-            case.refused or option.strip("-").replace("-", "."), result
+            case.refused or name or option.strip("-").replace("-", "."), result
         )
         return "" if is_named else f"{command} {option}: not refused, or by {str(result)[:200]}"
     usual = run_with(command, beside)
@@ -1277,8 +1217,13 @@ def option_ignored(run_with: Callable[..., tuple[int, Any]], command: str, optio
 def test_every_option_of_every_command_has_a_row():
     for command in COMMANDS:
         if command.name not in NOT_WALKED:
-            options = {each.opts[0] for each in command.params if isinstance(each, click.Option)}
-            assert options == set(OPTIONS[command.name][1]), command.name
+            options = [each for each in command.params if isinstance(each, click.Option)]
+            named = [
+                f"{each.opts[0]} {name}".strip()
+                for each in options
+                for name in getattr(each.type, "names", [""])
+            ]
+            assert sorted(named) == sorted(OPTIONS[command.name][1]), command.name
 
 
 @pytest.mark.parametrize(

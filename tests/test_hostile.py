@@ -205,28 +205,33 @@ TUNE = (
     "--pilot",
     "gps=1,distance=1",
 )
-SENSITIVITY = ("sensitivity", "../made", "-o", "out", *PLAN[2:], "--samples", 2)
+SENSITIVITY = ("sensitivity", "../made", "-o", "out", *PLAN[2:], "--study", "num_samples=2")
 # Commands, their options, and what is wrong for all of these.
 OPTIONS: tuple[tuple[tuple, str, tuple[str, ...]], ...] = (
     (
-        (*PLAN, "--report", "--speed", 5, "--volume"),
-        "--snap --speed --swath --level-step --altitude",
+        (*PLAN, "--report", "speed_m_s=5", "--volume"),
+        "--snap --report=swath_m --volume=level_step_m --altitude",
         NUMBERS,
     ),
-    (PLAN, "--resolution --start --goal --seed", NUMBERS),
-    (("compare", "../made", "../made", "-o", "out"), "--tolerance --resolution", NUMBERS),
-    (SENSITIVITY, "--range --samples", NUMBERS),
-    (TUNE, "--hold-out --bootstrap --budget --altitude --sample", NUMBERS),
+    (PLAN, "--resolution --start --goal --planner=seed --rules=clearance_m", NUMBERS),
+    (("compare", "../made", "../made", "-o", "out"), "--routes --resolution", NUMBERS),
+    (SENSITIVITY, "--range --study=num_samples --study=wrong", NUMBERS),
+    (TUNE, "--fit=hold_out --fit=bootstrap --fit=budget_s --altitude --sample", NUMBERS),
     (TO_MAPS, "--memory --workers", NUMBERS),
     (
         PLAN,
-        "--weights --require --time --time-of-day --planner --heuristic --no-fly -o --profile",
+        "--weights --require --time --time-of-day --planner --planner=heuristic --no-fly -o --profile",
         TEXTS,
     ),
     (SENSITIVITY, "--vary --range", TEXTS),
     (TUNE, "--metrics --pilot --wish", TEXTS),
     (TO_MAPS, "--layers --cluster --set", TEXTS),
 )
+
+
+def worded(option: str, value: object) -> tuple:
+    """Return the words of an option; one such as ``--fit=seed`` takes ``NAME=VALUE``."""
+    return (f"{option}={value}",) if "=" in option else (option, value)
 
 
 def cases() -> dict[str, list[tuple[Callable[[], object], tuple]]]:
@@ -242,7 +247,7 @@ def cases() -> dict[str, list[tuple[Callable[[], object], tuple]]]:
             for wrong in RASTERS
         ],
         "options": [
-            (write_town, (*command, option, value))
+            (write_town, (*command, *worded(option, value)))
             for command, options, values in OPTIONS
             for option, value in itertools.product(options.split(), values)
         ],

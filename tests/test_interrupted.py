@@ -73,8 +73,8 @@ def study(folder: Path) -> None:
 
 
 def routes(folder: Path) -> None:
-    how = ju.studies.SensitivityStudySettings(num_samples=2, vary=("gps", "risk"))
-    ju.studies.sensitivity_study("made", folder, 1, settings=how, progress=False)
+    how = ju.studies.SensitivitySettings(num_samples=2, vary=("gps", "risk"))
+    ju.studies.sensitivity("made", folder, 1, settings=how, progress=False)
 
 
 def compare(folder: Path) -> None:

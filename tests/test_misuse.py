@@ -40,7 +40,6 @@ MADE = (  # what functions return; XY is looked at where it is used
         "PlannedPaths",
         "ReturnAltitude",
         "RouteReport",
-        "SensitivityStudy",
     ),
     *(
         "ReceiverValidation",
@@ -49,6 +48,7 @@ MADE = (  # what functions return; XY is looked at where it is used
         "TargetFit",
         "FitComparison",
         "Sensitivity",
+        "OneRoute",
         "BenchmarkResult",
     ),
     *("SoftCity", "Demonstration", "InputError", "JaxurbanError", "Scenario", "XY", "City"),
@@ -68,7 +68,7 @@ METHODS = {  # of what they return
     "MapComparison": ("save",),
     "PlannedPath": ("save",),
     "PlannedPaths": ("save", "to_dataframe"),
-    "Sensitivity": ("breakpoints",),
+    "OneRoute": ("breakpoints",),
 }
 SIZES = {"first_row": 0, "first_col": 0, "num_rows": 2, "num_cols": 2}
 PLAIN = {
@@ -119,7 +119,7 @@ PLAIN = {
     **{
         "sample_instances.num": 1,
         "study.instances": 1,
-        "sensitivity_study.routes": 1,
+        "sensitivity.routes": 1,
         "sources": {"here": MAPS},
     },
     **{"obstacles": "touched", "metrics": ["gps"], "CostModel.from_settings.settings": {}},
@@ -151,8 +151,15 @@ MADE_ONCE: dict[str, Callable[[], Any]] = {
         MAPS, 4, altitudes_m=[20.0], weights=[ju.Weights()]
     ),
     "quick": lambda: ju.studies.SensitivitySettings(vary=("gps",), num_samples=2, max_plans=9),
-    "Sensitivity": lambda: ju.studies.sensitivity(
-        good("cost_map"), START, GOAL, settings=good("quick")
+    "OneRoute": lambda: (
+        ju.studies.sensitivity(
+            MAPS,
+            tempfile.mkdtemp(),
+            [(START, GOAL)],
+            altitudes_m=[20.0],
+            settings=good("quick"),
+            progress=False,
+        ).route
     ),
     "MapComparison": lambda: ju.studies.compare(MAPS, MAPS, progress=False),
     **dict.fromkeys(("cost_map", "CostMap", "on"), lambda: ju.cost_map(MAPS, 20.0)),
@@ -205,7 +212,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     (("east", "north"), "start_xy_m goal_xy_m"),
     ("now", "time MetricMaps.m.time stop"),
     ("no/such/place", "folder maps maps_a maps_b path file study where check.sources view.against"),
-    ("/proc/none", "MetricMaps.save.folder study.folder sensitivity_study.folder"),
+    ("/proc/none", "MetricMaps.save.folder study.folder sensitivity.folder"),
     (
         "no-such.file",
         "table districts blocks_day blocks_night buildings no_fly log mission navigation validate.reference",
@@ -236,7 +243,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
         "none such",
         "kind sample_city.name sample_instances.weights compare_fits.scale fit_weights.scale",
     ),
-    ("none such", "Sensitivity.breakpoints.name"),
+    ("none such", "OneRoute.breakpoints.name"),
     (("gps.mask_deg",), "changes"),
     ((-1.0,), "other_pieces_m"),
     (("X",), "systems"),
@@ -262,11 +269,11 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ),
     (
         RIGHT,
-        "sensitivity_study.scenarios SensitivitySettings.vary SensitivitySettings.objectives open_maps.obstacles",
+        "sensitivity.scenarios SensitivitySettings.vary SensitivitySettings.objectives open_maps.obstacles",
     ),
     (
         RIGHT,
-        "SensitivityStudySettings.vary write_buildings.out write_buildings.scenario Population.blocks",
+        "write_buildings.out write_buildings.scenario Population.blocks",
     ),
     (
         RIGHT,
@@ -408,7 +415,7 @@ WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
         ("plan", {"weights": 5}, "weights must be Weights, a dict of numbers or None"),
         ("plan", {"weights": {"self": 1}}, "weights must be Weights or numbers"),
         (
-            "sensitivity",
+            "make_queries",
             {"cost_map": MAPS},
             "cost_map must be CostMap (from cost_map), got MetricMaps",
         ),

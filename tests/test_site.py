@@ -42,7 +42,7 @@ def page() -> Iterator[Any]:
     [
         ("courtyard", r"/guides/plan\.html|/guides/trouble\.html"),
         ("no-fly zone", r"/guides/plan\.html"),
-        ("--vertical-clearance", r"/guides/plan\.html|/reference/commands\.html"),
+        ("vertical_clearance_m", r"/guides/plan\.html|/reference/commands\.html"),
         ("plan_many", r"/reference/functions/plan_many\.html"),
         ("ju.return_altitude", r"/reference/functions/return_altitude\.html"),
     ],

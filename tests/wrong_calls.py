@@ -30,7 +30,7 @@ ju.open_maps("out/manhattan", "5m")  # wrong: text for a number
 ju.sample_city("lower-manhattan", resolution_m=5.0)  # wrong: argument of another function
 ju.City.from_files("town.osm", bounds="-74.02,40.70,-73.98,40.73")  # wrong: text for a tuple
 ju.fit.fit_weights(demonstrations, loss="robust")  # wrong: removed option
-ju.studies.sensitivity(maps, start, goal)  # wrong: maps for a cost map
+ju.studies.sensitivity(maps, "out", start)  # wrong: a place for pairs of them
 ju.grad.map_inputs(city, maps.grid, altitudes_m=60.0)  # wrong: number for a tuple
 
 # Names of closed sets

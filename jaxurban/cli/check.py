@@ -1,64 +1,81 @@
 """jaxurban check."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypedDict
 
 import click
 
 import jaxurban
 from jaxurban.cli.common import (
-    CEILING,
     CORRIDOR,
     FILES,
     FOLDER,
     GIVEN,
     JSON_FLAG,
-    LIMITS,
+    KEPT_CLEAR,
     LONLAT,
     METRES,
-    NUMBER,
     OVERWRITE,
     RESOLUTION,
     SOURCES,
     TIME_OF_DAY,
     WEIGHTS,
+    ZONES,
     Point,
+    Settings,
+    constraints_given,
     print_json,
 )
+from jaxurban.cli.options import Values, command, grouped_options
 from jaxurban.exit_codes import ExitCode
 from jaxurban.knowledge import Caution
 from jaxurban.progress import LOG
 
-if TYPE_CHECKING:
-    from jaxurban.io.read.mission_parts import Datum
-    from jaxurban.paths.route_report import OverflownDensity
-
 CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": ExitCode.NOT_JUDGED}
 
 
-@click.command()
+class FileHeights(TypedDict):
+    """What heights of a mission are above, where its file leaves it open.
+
+    Attributes:
+      above: home, ground, geoid or ellipsoid, where the file (KML, GPX, GeoJSON, CSV) leaves it open.
+      geoid_m: height of the geoid above the ellipsoid: 37 in Tokyo.
+      home_above_ground_m: height of home above the ground, for a flight that starts from a roof.
+    """
+
+    above: str
+    geoid_m: float
+    home_above_ground_m: float
+
+
+class Limits(TypedDict):
+    """What a flight must keep within.
+
+    Attributes:
+      max_no_fix_m: most metres without a position fix.
+      max_people: most people overflown, in a strip of 10 m.
+      ceiling_m: greatest height of a return above the ground at home, else 120; legs are not held against it.
+    """
+
+    max_no_fix_m: float
+    max_people: float
+    ceiling_m: int
+
+
+@command()
 @FOLDER
 @click.argument("mission", metavar="MISSION", type=GIVEN)
 @click.option(
-    "--heights",
-    type=click.Choice(["home", "ground", "geoid", "ellipsoid"]),
-    help="What heights are above, where the file leaves it open (KML, GPX, GeoJSON, CSV).",
+    "--heights", type=Values(FileHeights), default="", help="What heights of the file are above."
 )
-@METRES("--geoid", "geoid_m", help="Height of the geoid above the ellipsoid: 37 in Tokyo.")
 @click.option("--home", type=LONLAT, help="Home: longitude,latitude in degrees.")
-@METRES(
-    "--home-above-ground",
-    "home_above_ground_m",
-    help="Height of home above the ground, for a flight that starts from a roof.",
-)
 @METRES(
     "--return-altitude",
     "return_altitude_m",
     help="Height above home at which the autopilot returns.",
 )
-@LIMITS
+@grouped_options("constraints", constraints_given, ZONES, KEPT_CLEAR)
 @click.option(
     "--time",
     "times",
@@ -66,9 +83,7 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
     help="Time of flight, UTC; repeatable.  [default: the maps' first]",
 )
 @TIME_OF_DAY
-@METRES("--max-no-fix", "max_no_fix_m", help="Most metres without a position fix.")
-@NUMBER("--max-people", help="Most people overflown, in a strip of 10 m.")
-@CEILING
+@click.option("--limits", type=Values(Limits), default="", help="What the flight must keep within.")
 @CORRIDOR
 @WEIGHTS
 @SOURCES
@@ -79,12 +94,13 @@ CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": Ex
 def check_command(
     folder: Path,
     mission: Path,
-    heights: "Datum | None",
+    heights: Settings,
     home: Point | None,
     return_altitude_m: float | None,
     times: tuple[str, ...],
     time_of_day: str | None,
-    corridor: "Callable[..., OverflownDensity] | None",
+    limits: Settings,
+    corridor: Settings | None,
     resolution_m: float | None,
     files: tuple[Path, ...],
     overwrite: bool,
@@ -105,13 +121,17 @@ def check_command(
     for output in files:
         if not output.suffix:
             click.get_current_context().with_resource(Workspace.held(output, "check"))
-    parsed = read_mission(mission, heights=heights, home=home, return_altitude_m=return_altitude_m)
+    parsed = read_mission(
+        mission, heights=heights.pop("above", None), home=home, return_altitude_m=return_altitude_m
+    )
     maps = jaxurban.open_maps(folder, resolution_m)
     result = jaxurban.check(
         maps,
         parsed,
         time=times or None,
         time_of_day=time_of_day,
+        **heights,
+        **limits,
         **options,  # all other options are its arguments
     )
 
@@ -119,7 +139,9 @@ def check_command(
     density = None
     line_m = result.flight.line_m
     if corridor is not None and len(line_m) > 1:
-        density = corridor(maps, line_m, time_of_day=time_of_day)
+        from jaxurban.paths.ground_risk import overflown_density
+
+        density = overflown_density(maps, line_m, time_of_day=time_of_day, **corridor)
         cautions = [Caution(text, "guess") for text in result.flight.off_line]
         density = replace(density, cautions=[*cautions, *density.cautions])
 

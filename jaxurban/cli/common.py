@@ -6,13 +6,19 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import replace
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
 
+from jaxurban.cli.options import (
+    Names,
+    Numbers,
+    Values,
+    grouped_options,
+    options_together,
+)
 from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
@@ -20,65 +26,20 @@ from jaxurban.io.stored import stored_maps
 from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.export.suffixes import PICTURES
 from jaxurban.progress import LOG, reporting
+from jaxurban.settings import CLEARANCES, ObstacleRule, Planning, Preset
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from jaxurban.io.results import Result
     from jaxurban.paths.constraints import Constraints
-    from jaxurban.paths.route_report import OverflownDensity
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.write import Output
-    from jaxurban.settings import CostKind, ObstacleRule, Preset, UnknownHeights
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
 Point = tuple[float, float]  # of LONLAT
-MapsOf = Callable[[Path], "MapsFolder"]  # the maps of a folder, not opened yet
-
-
-class RouteOptions(TypedDict):
-    """What routes are planned under, as keywords of `jaxurban.cost_map` and the like."""
-
-    weights: dict[str, float]
-    cost_model: "CostKind | None"
-    constraints: "Constraints"
-    preset: "Preset"
-
-
-class Numbers(click.ParamType):
-    """Numbers with commas between them.
-
-    Args:
-      name: of the type, in the help.
-      example: ends the sentence on other values: ``'x' must be EXAMPLE``.
-      count: how many numbers there must be; 0: any number of them.
-    """
-
-    def __init__(self, name: str, example: str, count: int = 0) -> None:
-        self.name, self.example, self.count = name, example, count
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...]:
-        """Return the numbers in a text.
-
-        Args:
-          value: the text; a default, which is a tuple of numbers already, comes back unchanged.
-          param, ctx: of the option, for the error.
-
-        Raises:
-          BadParameter: something that is no number, or another count of numbers.
-        """
-        if isinstance(value, tuple):
-            return value
-        try:
-            numbers = tuple(float(part) for part in str(value).split(","))
-        except ValueError:
-            numbers = ()
-        if not numbers or len(numbers) != (self.count or len(numbers)):
-            self.fail(f"{value!r} must be {self.example}", param, ctx)
-        return numbers
+MapsOf = Callable[..., "MapsFolder"]  # the maps of a folder, not opened yet
 
 
 class NamedPath(click.Path):
@@ -117,10 +78,12 @@ def check_given(path: Path) -> None:
         located(path).stat()
 
 
-def check_over_maps(ctx: click.Context, param: click.Parameter, lonlat: Point) -> Point:
-    """Return a place that lies over the maps in the command's folder, by what their metadata say alone.
+def check_over_maps(
+    ctx: click.Context, param: click.Parameter, lonlat: Point | None
+) -> Point | None:
+    """Return a place, if one is given, that lies over the maps in the command's folder, by their metadata alone.
 
-    Of several resolutions, or of damaged maps, what opens the maps checks it.
+    Of several folders the first one counts. Of several resolutions, or of damaged maps, what opens the maps checks it.
 
     Raises:
       InputError: the place lies outside.
@@ -129,9 +92,10 @@ def check_over_maps(ctx: click.Context, param: click.Parameter, lonlat: Point) -
     from jaxurban.world.grid import grid_of
 
     grid = None
+    folders = ctx.params.get("folders") or (ctx.params["folder"],)
     with suppress(AttributeError, LookupError, TypeError, ValueError):  # damaged metadata, or None
-        grid = grid_of(glance(ctx.params["folder"]))
-    if grid is not None:
+        grid = grid_of(glance(folders[0]))
+    if grid is not None and lonlat is not None:
         try:
             grid.cell_of_lonlat(*lonlat)
         except InputError as error:
@@ -184,17 +148,6 @@ def check_route(
 PATH, GIVEN, MAPS_PATH = NamedPath(), NamedPath(check_given), NamedPath(stored_maps)
 
 
-def options_together(*parameters: Callable) -> Callable[[Callable], Callable]:
-    """Return a decorator that adds options and arguments to a command, which lists them in this order."""
-
-    def add(command: Callable) -> Callable:
-        for parameter in reversed(parameters):  # as decorators that stand one over the other
-            command = parameter(command)
-        return command
-
-    return add
-
-
 def stay_on_cpu() -> None:
     """Let JAX compute on the CPU in a command's own process, before its first use, and in those that it starts."""
     import jax
@@ -228,60 +181,6 @@ def use_device(name: str | None) -> None:
     LOG.info(f"device: {jax.local_devices()[0].device_kind} ({jax.default_backend()})")
 
 
-def grouped_options(
-    argument: str, make: Callable[..., Any], *options: Callable
-) -> Callable[[Callable], Callable]:
-    """Return a decorator that adds several options to a command, which gets one argument made of their values.
-
-    Args:
-      argument: name of the command's argument.
-      make: returns its value; it takes the values of the options, by their names in Python, all of them annotated.
-      options: the options, in the order of the help.
-    """
-    names = make.__annotations__.keys() - {"return"}
-
-    def add(command: Callable) -> Callable:
-        @wraps(command)
-        def call(**values: Any) -> Any:
-            own_values = {name: values.pop(name) for name in names}
-            values[argument] = make(**own_values)
-            return command(**values)
-
-        return options_together(*options)(call)
-
-    return add
-
-
-class DependentOption(click.Option):
-    """An option that says nothing without another one, its owner.
-
-    Args:
-      owner: the other option, such as ``"--volume"``.
-    """
-
-    def __init__(self, *args: Any, owner: str, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.owner = owner
-
-    def handle_parse_result(
-        self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
-    ) -> tuple[Any, list[str]]:
-        """Return the value and what is left to parse, as for any option.
-
-        Args:
-          ctx: of the command, whose parameters include the owner.
-          opts: values of the options that are given, by their names in Python.
-          args: what is left to parse.
-
-        Raises:
-          UsageError: the option is given, and its owner is not.
-        """
-        owner = next(param for param in ctx.command.params if self.owner in param.opts)
-        if self.name in opts and owner.name not in opts:
-            raise click.UsageError(f"{self.opts[0]} belongs to {self.owner}: add that")
-        return super().handle_parse_result(ctx, opts, args)
-
-
 def weights_in(ctx: click.Context, param: click.Parameter, text: str) -> dict[str, float]:
     """Return the weights that a text such as ``"gps=1,risk=2"`` names; errors as of `Weights.named_in`."""
     if not text:
@@ -291,10 +190,10 @@ def weights_in(ctx: click.Context, param: click.Parameter, text: str) -> dict[st
     return Weights.named_in(text)
 
 
-def folders_of(resolution_m: float | None, obstacles: "ObstacleRule | None") -> MapsOf:
-    """Return a function of a folder that returns its maps, not opened yet, as the options of `MAPS` choose them."""
+def folders_of(resolution_m: float | None) -> MapsOf:
+    """Return a function of a folder, and of the rule of obstacles, that returns the folder's maps, not opened yet."""
 
-    def maps_of(folder: Path) -> "MapsFolder":
+    def maps_of(folder: Path, obstacles: ObstacleRule | None = None) -> "MapsFolder":
         """Return the maps of a folder; whoever wants them is about to compute."""
         from jaxurban.paths.rows import MapsFolder
 
@@ -303,68 +202,56 @@ def folders_of(resolution_m: float | None, obstacles: "ObstacleRule | None") -> 
     return maps_of
 
 
-def limits_of(
-    no_fly: tuple[Path, ...],
-    require: tuple[str, ...],
-    clearance_m: float | None,
-    vertical_clearance_m: float | None,
-    above_gps_floor: bool,
+def constraints_given(
+    no_fly: tuple[Path, ...], require: tuple[str, ...], rules: Settings | None = None
 ) -> "Constraints":
-    """Return the constraints that the options of `LIMITS` ask for.
+    """Return the constraints that options ask for; what is left out is as the scenario has it.
 
     Args:
       no_fly: files of zones that no path enters.
       require: bounds such as ``"gps>=0.3"``.
-      clearance_m: least distance from buildings; None: that of the scenario.
-      vertical_clearance_m: least height over roofs; None: that of the scenario.
-      above_gps_floor: whether paths stay at or above the maps' GPS floor.
+      rules: further arguments of `Constraints.read`.
 
     Raises:
       InputError: a file or a bound that cannot be read, or an invalid clearance.
     """
     from jaxurban.paths.constraints import Constraints
 
-    return Constraints.read(
-        no_fly,
-        require,
-        clearance_m=clearance_m,
-        vertical_clearance_m=vertical_clearance_m,
-        above_gps_floor=above_gps_floor,
-    )
+    return Constraints.read(no_fly, require, **(rules or {}))
 
 
-def constraints_given(
-    constraints: "Constraints", unknown_heights: "UnknownHeights | None"
-) -> "Constraints":
-    """Return the constraints that the options of `CONSTRAINTS` ask for, which are `LIMITS` and the rule of heights."""
-    return replace(constraints, unknown_heights=unknown_heights)
-
-
-def density_beneath(
-    corridor_m: float | None,
-    contingency_m: float,
-    ground_buffer_m: float | None,
-    density_cell_m: float,
-) -> "Callable[..., OverflownDensity] | None":
-    """Return a function of maps and a path that computes the density of people beneath the path's corridor.
+def rules_of(
+    preset: Preset, no_fly: tuple[Path, ...], require: tuple[str, ...], rules: Settings
+) -> Settings:
+    """Return under what routes are planned: keywords of `jaxurban.cost_map`, and ``obstacles``, which are the maps'.
 
     Args:
-      corridor_m: half-width of the corridor; None: there is none, and None comes back.
-      contingency_m: width of the contingency volume on each side.
-      ground_buffer_m: width of the ground risk buffer; None: the flight's height.
-      density_cell_m: side of the cells over which the mean is taken.
+      preset: decides what is left out here and in the scenario.
+      no_fly, require: as of `constraints_given`.
+      rules: what ``--rules`` gives.
     """
-    if corridor_m is None:
-        return None
-    from jaxurban.paths.ground_risk import overflown_density
+    return {
+        "preset": preset,
+        "cost_model": rules.pop("cost_model", None),
+        "obstacles": rules.pop("obstacles", None),
+        "constraints": constraints_given(no_fly, require, rules),
+    }
 
-    return partial(
-        overflown_density,
-        half_width_m=corridor_m,
-        contingency_m=contingency_m,
-        buffer_m=ground_buffer_m,
-        cell_m=density_cell_m,
-    )
+
+class Corridor(TypedDict):
+    """The corridor of a flight beneath which the density of people is taken (`jaxurban.overflown_density`).
+
+    Attributes:
+      half_width_m: width of the volume that is flown in, to each side.
+      contingency_m: width of the contingency volume around it, else 0.
+      buffer_m: width of the ground risk buffer around both, else the flight's height (1:1 rule).
+      cell_m: side of the cells of the mean, else 200; 100 and 500 are reported too.
+    """
+
+    half_width_m: float
+    contingency_m: float
+    buffer_m: float
+    cell_m: float
 
 
 def workers_of(workers: int | None, cluster: str | None) -> int | str | None:
@@ -386,7 +273,6 @@ SHOWN = partial(click.option, show_default=True)  # its default, in the help
 NUMBER = partial(click.option, type=float)
 METRES = partial(NUMBER, metavar="METRES")
 FLAG = partial(click.option, is_flag=True)
-OF_CORRIDOR = partial(METRES, cls=DependentOption, owner="--corridor")
 FOLDER = click.argument("folder", metavar="DIR", type=MAPS_PATH, is_eager=True)
 SCENARIO = click.argument("scenario_file", metavar="SCENARIO", type=GIVEN)
 FILES = partial(click.option, "-o", "files", type=PATH, multiple=True)
@@ -412,29 +298,7 @@ RESOLUTION = NUMBER(
     "resolution_m",
     help="Cell size of the maps in metres; needed where DIR holds several.",
 )
-MAPS = grouped_options(
-    "maps_of",
-    folders_of,
-    RESOLUTION,
-    click.option(
-        "--obstacles",
-        type=click.Choice(["touched", "centre"]),
-        help="Cells that no path enters: all that a building touches, or (the paper) those whose centre it "
-        "covers; paths may then cut true outlines.  [default: the scenario's, else touched]",
-    ),
-)
-CLEARANCES = options_together(
-    METRES(
-        "--clearance",
-        "clearance_m",
-        help="Least distance from buildings that reach the path's altitude.  [default: the scenario's, else 0]",
-    ),
-    METRES(
-        "--vertical-clearance",
-        "vertical_clearance_m",
-        help="Least height over roofs; a path goes around higher ones.  [default: the scenario's, else 3]",
-    ),
-)
+MAPS = grouped_options("maps_of", folders_of, RESOLUTION)
 CEILING = SHOWN(
     "--ceiling",
     "ceiling_m",
@@ -442,9 +306,7 @@ CEILING = SHOWN(
     metavar="METRES",
     help="Greatest height of a return, above the ground at home; legs are not held against it.",
 )
-LIMITS = grouped_options(
-    "constraints",
-    limits_of,
+ZONES = options_together(
     click.option(
         "--no-fly",
         type=GIVEN,
@@ -454,26 +316,12 @@ LIMITS = grouped_options(
     click.option(
         "--require",
         multiple=True,
-        help="Bound that every cell of a path must keep, such as gps>=0.3; repeatable.",
-    ),
-    FLAG("--above-gps-floor", help="Stay at or above the GPS floor, which the maps must hold."),
-    CLEARANCES,
-)
-CONSTRAINTS = grouped_options(
-    "constraints",
-    constraints_given,
-    LIMITS,
-    click.option(
-        "--unknown-heights",
-        type=click.Choice(["guess", "likely", "highest"]),
-        help="How high roofs of unknown height count: their bound, what 99 % of their kind keep below, or the maps' "
-        "guess.  [default: the scenario's, else likely, but highest for files to be flown]",
+        help="Bound that every cell of a path must keep, such as gps>=0.3, or gps_floor to stay above it; repeatable.",
     ),
 )
-COST_MODEL = click.option(
-    "--cost-model",
-    type=click.Choice(["cell", "line"]),
-    help="Cost model; cell is the paper's.  [default: the scenario's]",
+RULE_VALUES = partial(click.option, "--rules", default="")
+KEPT_CLEAR = RULE_VALUES(
+    type=Values(Planning, CLEARANCES), help="Distances to keep, else the scenario's."
 )
 PRESET = click.option(
     "--preset",
@@ -488,11 +336,28 @@ WEIGHTS = click.option(
     callback=weights_in,
     help="Weights such as gps=1,risk=2; others keep their values.",
 )
-RULES = grouped_options("rules", RouteOptions, PRESET, COST_MODEL, WEIGHTS, CONSTRAINTS)
+RULES = grouped_options(
+    "rules",
+    rules_of,
+    PRESET,
+    ZONES,
+    RULE_VALUES(
+        type=Values(Planning, (*CLEARANCES, "unknown_heights", "obstacles", "cost_model")),
+        help="What routes keep, else the scenario's.",
+    ),
+)
 TIME_OF_DAY = click.option(
     "--time-of-day", help="Time of day of the population map, such as night.  [default: the first]"
 )
 PLACE = partial(click.option, type=LONLAT, required=True, callback=check_over_maps)
+SNAP = NUMBER(
+    "--snap",
+    is_flag=False,
+    flag_value="50",
+    metavar="[METRES]",
+    callback=lambda ctx, param, metres: False if metres is None else metres,
+    help="Move a start or goal that is not free to the nearest free cell, by at most 50 m or METRES.",
+)
 ROUTE = options_together(  # a route over maps
     FOLDER,
     PLACE("--start", help="Start: longitude,latitude in degrees."),
@@ -506,48 +371,22 @@ ROUTE = options_together(  # a route over maps
     TIME_OF_DAY,
     click.option("--time", help="Time of the GPS map, UTC.  [default: the first]"),
     MAPS,
+    WEIGHTS,
     RULES,
-    NUMBER(
-        "--snap",
-        is_flag=False,
-        flag_value="50",
-        metavar="[METRES]",
-        callback=lambda ctx, param, metres: False if metres is None else metres,
-        help="Move a start or goal that is not free to the nearest free cell, by at most 50 m or METRES.",
-    ),
+    SNAP,
 )
-CORRIDOR = grouped_options(
-    "corridor",
-    density_beneath,
-    METRES(
-        "--corridor",
-        "corridor_m",
-        help="Report the density of people beneath a corridor of this half-width, for a ground risk assessment.",
-    ),
-    OF_CORRIDOR(
-        "--contingency",
-        "contingency_m",
-        default=0.0,
-        help="With --corridor: the contingency volume beside it.  [default: 0]",
-    ),
-    OF_CORRIDOR(
-        "--ground-buffer",
-        "ground_buffer_m",
-        help="With --corridor: the ground risk buffer.  [default: the flight's height (1:1 rule)]",
-    ),
-    OF_CORRIDOR(
-        "--density-cell",
-        "density_cell_m",
-        default=200.0,
-        help="With --corridor: side of the cells of the mean.  [default: 200; 100 and 500 are printed too]",
-    ),
+CORRIDOR = click.option(
+    "--corridor",
+    type=Values(Corridor),
+    help="Report the density of people beneath a corridor, for a ground risk assessment.",
+)
+PROCESSES = click.option(
+    "--workers", type=POSITIVE_COUNT, help="Number of processes (Dask).  [default: all cores]"
 )
 WORKERS = grouped_options(
     "workers",
     workers_of,
-    click.option(
-        "--workers", type=POSITIVE_COUNT, help="Number of processes (Dask).  [default: all cores]"
-    ),
+    PROCESSES,
     click.option(
         "--cluster",
         metavar="ADDRESS",
@@ -562,14 +401,7 @@ SOURCES = click.option(
 JSON_FLAG = FLAG("--json", "as_json", help="Print one machine-readable object on stdout.")
 
 
-def names_given(
-    ctx: click.Context, param: click.Parameter, text: str | None
-) -> tuple[str, ...] | None:
-    """Return the names in ``"gps,risk"``; None where an option without a default is left out."""
-    return None if text is None else tuple(filter(None, map(str.strip, text.split(","))))
-
-
-NAMES = partial(click.option, default="", callback=names_given)
+NAMES = partial(click.option, type=Names(), default=())
 
 
 def all_cores() -> int:
@@ -642,6 +474,12 @@ def run_study(
         sentence += f", look at {figures}"
     LOG.info(sentence)
     return result
+
+
+def log_lines(lines: Mapping[str, str]) -> None:
+    """Log the lines of a study's conclusion: what is decided, what is not, and what to run next."""
+    for name, text in lines.items():
+        LOG.info(f"{name}: {text}")
 
 
 def finite_records(tables: "Mapping[str, pd.DataFrame]") -> Settings:

@@ -15,7 +15,6 @@ from jaxurban.cli.common import (
     JSON_FLAG,
     MAPS,
     MAPS_PATH,
-    NAMES,
     OUTPUT,
     OVERWRITE,
     SCENARIO,
@@ -23,22 +22,24 @@ from jaxurban.cli.common import (
     SHOWN,
     MapsOf,
     Settings,
+    log_lines,
     print_json,
     run_study,
 )
+from jaxurban.cli.options import command, options_of
+from jaxurban.studies.receiver.settings import ReceiverSettings
 
 
-@click.command()
+@command()
 @click.argument("folder_a", metavar="DIR_A", type=MAPS_PATH)
 @click.argument("folder_b", metavar="DIR_B", type=MAPS_PATH)
 @OUTPUT
 @MAPS
-@SHOWN("--tolerance", default=1e-6, help="Values that differ by no more count as equal.")
 @SHOWN(
     "--routes",
     type=COUNT,
     default=0,
-    help="Pairs of places at each altitude whose route on one map is judged on the other.",
+    help="Pairs of places at each altitude whose route on A is judged on B.",
 )
 @SEED
 @OVERWRITE
@@ -65,14 +66,16 @@ def compare_command(
         )
 
     result = run_study("compare", output, study, overwrite)
+    log_lines(result.decided.facts)
     if as_json:
         from jaxurban.io.tables import records_of
 
         facts = {
-            "left_out": dict(result.left_out),
+            "left_out": list(result.left_out),
             "settings": result.settings,
             "layers": records_of(result.table),
-            "regrets": records_of(result.regrets),
+            "routes": records_of(result.routes),
+            "decided": result.decided.to_dict(),
         }
         print_json(_places_of(output) | facts)
 
@@ -82,15 +85,7 @@ def _places_of(output: Path) -> Settings:
     return {"folder": str(output), "report": str(output / "report.md")}
 
 
-def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str | float:
-    """Return metres as a number, all else as it is."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
-@click.command()
+@command()
 @SCENARIO
 @click.argument("log_file", metavar="[LOG]", type=GIVEN, required=False)
 @OUTPUT
@@ -103,28 +98,7 @@ def number_or_text(ctx: click.Context, param: click.Parameter, text: str) -> str
     "--reference", type=GIVEN, help="Table of the antenna's places, for a receiver's own log."
 )
 @CHANGES
-@SHOWN(
-    "--antenna-height",
-    "antenna_height_m",
-    default=2.0,
-    help="Height of the antenna above the ground, metres.",
-)
-@SHOWN("--sky-step", "sky_step_s", default=30.0, help="Seconds for which one sky is used.")
-@SHOWN(
-    "--block",
-    "block_m",
-    default=50.0,
-    help="Length of the blocks of track that intervals draw, metres.",
-)
-@SHOWN(
-    "--known",
-    callback=number_or_text,
-    default="city",
-    metavar="city|all|M|FILE",
-    help="Where buildings are known: what their file covers, everywhere, so many metres around the track, or polygons.",
-)
-@NAMES("--systems", help="Letters of the satellite systems to take, as G,E.")
-@SEED
+@options_of(ReceiverSettings)
 @OVERWRITE
 @DEVICE
 @JSON_FLAG
@@ -135,9 +109,9 @@ def validate_command(
     navigation: Path | None,
     reference: Path | None,
     changes: tuple[str, ...],
+    settings: ReceiverSettings,
     overwrite: bool,
     as_json: bool,
-    **settings: Any,
 ) -> None:
     """Say which satellites of a receiver's log a city hides.
 
@@ -148,9 +122,7 @@ def validate_command(
     Left out, it is that of the sample city which SCENARIO names.
     """
     from jaxurban.maps.scenario import Scenario
-    from jaxurban.studies.receiver.settings import ReceiverSettings
 
-    receiver = ReceiverSettings(**settings)  # all other options are its fields
     scenario = Scenario.from_toml(scenario_file, changes)
     import pandas as pd
 
@@ -164,12 +136,13 @@ def validate_command(
             validate,
             scenario,
             log_file,
-            receiver,
+            settings,
             navigation=navigation,
             reference=reference,
         ),
         overwrite,
     )
+    log_lines(result.decided.facts)
     if as_json:
         (summary,) = records_of(pd.DataFrame([result.summary]))
         facts = {
@@ -178,5 +151,6 @@ def validate_command(
             "strong_dbhz": result.strong_dbhz,
             "left_out": dict(result.log.left_out),
             "guesses": [guess.sentence for guess in result.guesses],
+            "decided": result.decided.to_dict(),
         }
         print_json(_places_of(output) | facts)

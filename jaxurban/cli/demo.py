@@ -2,15 +2,16 @@
 
 from pathlib import Path
 
-import click
-
 from jaxurban.cli.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, SHOWN, print_json
+from jaxurban.cli.options import command
 from jaxurban.progress import LOG, reporting
+from jaxurban.settings import PlannerName
 
 CITY = "sample:lower-manhattan"
 RESOLUTION_M = 5.0
 START = (-74.0172, 40.7130)  # of the paths, degrees: Battery Park City
 GOAL = (-73.9815, 40.7265)  # East Village
+PLANNERS: tuple[PlannerName, ...] = ("ptp", "astar", "bitstar-dist", "bitstar-plus")
 BUDGET_S = 2.0  # what the sampling planners use up; the others need less
 SNAP_M = 500.0  # the ends may lie in a building
 DAY_UP_TO_M = 60.0  # night above, as in the paper's figures
@@ -18,7 +19,7 @@ SCENARIO_FILE, PATHS_FOLDER, TABLE_FILE = "scenario.toml", "paths", "paths/paths
 COLUMNS = "altitude_m", "settings.time_of_day", "planner", "status", "cost", "length_m", "elapsed_s"
 
 
-@click.command()
+@command()
 @SHOWN("-o", "folder", type=PATH, default=Path("out/demo"))
 @OVERWRITE
 @DEVICE
@@ -33,7 +34,7 @@ def demo_command(folder: Path, overwrite: bool, as_json: bool) -> None:
     from jaxurban.io.stored import RUN_FILE
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.run import run_scenario
-    from jaxurban.maps.scenario import PAPER_PLANNERS, Scenario
+    from jaxurban.maps.scenario import Scenario
     from jaxurban.paths.plan import plan
     from jaxurban.report.figures import save_figures
     from jaxurban.report.write import save
@@ -44,7 +45,7 @@ def demo_command(folder: Path, overwrite: bool, as_json: bool) -> None:
     )
     Workspace.check(folder, "demo", (SCENARIO_FILE, TABLE_FILE), is_shared=True)
     with reporting("demo") as report:
-        # The maps, and a path by every planner of the paper at every altitude.
+        # The maps, and a path by every method at every altitude.
         run = run_scenario(scenario, folder, progress=report, overwrite=overwrite)
         maps = run.maps[RESOLUTION_M]
         report("paths")
@@ -60,7 +61,7 @@ def demo_command(folder: Path, overwrite: bool, as_json: bool) -> None:
                 budget_s=BUDGET_S,
             )
             for altitude_m in maps.altitudes_m
-            for planner in PAPER_PLANNERS
+            for planner in PLANNERS
         ]
 
         # A table of the paths, a file for each, and pictures.

@@ -11,15 +11,15 @@ from jaxurban.cli.common import (
     NAMES,
     PATH,
     SHOWN,
-    Numbers,
     Settings,
     print_json,
 )
+from jaxurban.cli.options import Numbers, command
 from jaxurban.errors import InputError
 from jaxurban.progress import LOG
 
 
-@click.command()
+@command()
 @click.option(
     "--bounds",
     type=Numbers("W,S,E,N", "west, south, east, north", 4),

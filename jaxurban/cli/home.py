@@ -8,21 +8,23 @@ import click
 
 from jaxurban.cli.common import (
     CEILING,
-    CLEARANCES,
     FILES,
     FOLDER,
     JSON_FLAG,
+    KEPT_CLEAR,
     LONLAT,
     RESOLUTION,
+    Settings,
     print_json,
     write_outputs,
 )
+from jaxurban.cli.options import command
 
 
-@click.command()
+@command()
 @FOLDER
 @click.option("--home", type=LONLAT, required=True, help="Home: longitude,latitude in degrees.")
-@CLEARANCES
+@KEPT_CLEAR
 @CEILING
 @RESOLUTION
 @FILES(
@@ -32,6 +34,7 @@ from jaxurban.cli.common import (
 def return_command(
     folder: Path,
     resolution_m: float | None,
+    rules: Settings,
     files: tuple[Path, ...],
     as_json: bool,
     **options: Any,
@@ -44,7 +47,7 @@ def return_command(
     from jaxurban.paths.return_altitude import return_altitude
     from jaxurban.report.figures.home import plot_return
 
-    home = return_altitude(open_maps(folder, resolution_m), **options)
+    home = return_altitude(open_maps(folder, resolution_m), **rules, **options)
     write_outputs(files, partial(plot_return, home), home.save, home.cautions)
     if as_json:
         print_json(home.figures)

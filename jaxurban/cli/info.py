@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from jaxurban.cli.common import GIVEN, JSON_FLAG, Settings, print_json
+from jaxurban.cli.options import command
 from jaxurban.errors import InputError
 from jaxurban.io.read.sniff import LIDAR, sniff
 from jaxurban.io.samples import located
@@ -23,7 +24,7 @@ MOST_BYTES = 2**30  # of any other file than of buildings or a raster: most are 
 MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # and nothing else
 
 
-@click.command()
+@command()
 @click.argument("path", metavar="FILE|DIR", type=GIVEN)
 @JSON_FLAG
 def info_command(path: Path, as_json: bool) -> None:

@@ -24,7 +24,7 @@ from jaxurban.cli.home import return_command
 from jaxurban.cli.info import info_command
 from jaxurban.cli.maps import maps_command
 from jaxurban.cli.plan import plan_command
-from jaxurban.cli.sensitivity import sensitivity_command, sensitivity_study_command
+from jaxurban.cli.sensitivity import sensitivity_command
 from jaxurban.cli.sky import sky_command
 from jaxurban.cli.study import study_command
 from jaxurban.cli.tune import tune_command
@@ -49,7 +49,6 @@ COMMANDS = (
     plan_command,
     return_command,
     sensitivity_command,
-    sensitivity_study_command,
     sky_command,
     study_command,
     tune_command,
@@ -250,7 +249,8 @@ def _named_in(sentence: str, arguments: Sequence[str]) -> str:
     passed = {argument.partition("=")[0] for argument in arguments}
     for param in _command_in(arguments).params:
         is_passed = isinstance(param, click.Argument) or not passed.isdisjoint(param.opts)
-        if param.name == first_word and is_passed:
+        names = (param.name, *getattr(param.type, "names", ()))  # of an option, and of its values
+        if first_word in names and is_passed:
             return _name_of(param)
 
     # A setting, as in "file: gps: mask_deg must be ...", or else an option that the user gave.

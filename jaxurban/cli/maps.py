@@ -19,11 +19,12 @@ from jaxurban.cli.common import (
     stay_on_cpu,
     use_device,
 )
+from jaxurban.cli.options import command
 from jaxurban.errors import InputError
 from jaxurban.progress import LOG, reporting
 
 
-@click.command()
+@command()
 @SCENARIO
 @OUTPUT
 @CHANGES

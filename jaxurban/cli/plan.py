@@ -1,79 +1,114 @@
 """jaxurban plan."""
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 import click
 
-from jaxurban.checks import values_given
 from jaxurban.cli.common import (
     CORRIDOR,
-    COUNT,
     DEVICE,
     FILES,
     FLAG,
     JSON_FLAG,
     METRES,
-    NUMBER,
     PATH,
     ROUTE,
-    DependentOption,
     MapsOf,
-    RouteOptions,
     Settings,
     check_route,
-    grouped_options,
     print_json,
     write_outputs,
 )
+from jaxurban.cli.options import Values, command, grouped_options
 from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
 from jaxurban.paths.export.suffixes import FLOWN, MISSION, check_picture, check_route_file
 from jaxurban.progress import LOG
+from jaxurban.settings import Backend, MissionEnd
 
 if TYPE_CHECKING:
-    from jaxurban.maps.levels import Levels
     from jaxurban.maps.metric_maps import MetricMaps
     from jaxurban.paths.cost_map import CostMap
     from jaxurban.paths.path import PlannedPath
-    from jaxurban.paths.route_report import OverflownDensity, RouteReport
+    from jaxurban.paths.route_report import RouteReport
     from jaxurban.paths.when import Departures
-    from jaxurban.settings import MissionEnd, Objective, OnGround
+    from jaxurban.settings import Objective, OnGround
 
 LEAST_NAME_WIDTH = 20  # characters of the table's first column
 NOT_WHEN = (
-    "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --speed, --power, --swath, "
-    "--corridor, --simplify, --end, --fence-roofs, --from-roof or --on-ground"
+    "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --corridor, --simplify, "
+    "--mission or --on-ground"
 )
-OF_VOLUME = partial(NUMBER, cls=DependentOption, owner="--volume")
+ASKED = partial(click.option, is_flag=False, flag_value="", metavar="[NAME=VALUE,...]")  # bare too
 
 
-def levels_given(
-    is_volume: bool,
-    min_altitude_m: float | None,
-    max_altitude_m: float | None,
-    level_step_m: float | None,
-    climb_cost: float | None,
-    descent_cost: float,
-) -> "Levels | None":
-    """Return the levels between which a path may climb; None without ``--volume``.
+class SearchOptions(TypedDict):
+    """How a path is searched for.
 
-    Args:
-      is_volume: whether ``--volume`` is given.
-      min_altitude_m, max_altitude_m: the lowest and the highest level; None: those of the maps.
-      level_step_m: distance of further levels between the maps' altitudes; None: there are none.
-      climb_cost: cost per metre up; None: the distance weight.
-      descent_cost: cost per metre down.
-
-    Raises:
-      InputError: invalid levels.
+    Attributes:
+      planner: such as astar, theta-star or ptp; else the scenario's, else astar.
+      heuristic: lower bound of the search, else the planner's own.
+      backend: what searches.
+      budget_s: seconds of search, else the scenario's, else 10.
+      seed: of sampling planners, else the scenario's, else 0.
     """
-    from jaxurban.maps.levels import Levels
 
-    levels = Levels(min_altitude_m, max_altitude_m, level_step_m, climb_cost, descent_cost)
-    return levels if is_volume else None
+    planner: str
+    heuristic: str
+    backend: Backend
+    budget_s: float
+    seed: int
+
+
+class Volume(TypedDict):
+    """Between which altitudes a path may climb and descend.
+
+    Attributes:
+      goal_altitude_m: of the goal, else the start's.
+      min_altitude_m: of the lowest level, else the maps' lowest.
+      max_altitude_m: of the highest level, else the maps' highest.
+      level_step_m: levels so many metres apart too.
+      climb_cost: cost per metre up, else the distance weight.
+      descent_cost: cost per metre down, else 0.
+    """
+
+    goal_altitude_m: float
+    min_altitude_m: float
+    max_altitude_m: float
+    level_step_m: float
+    climb_cost: float
+    descent_cost: float
+
+
+class FlightOptions(TypedDict):
+    """How a route is flown; what is left out is the vehicle's.
+
+    Attributes:
+      speed_m_s: metres per second, for times, else the vehicle's.
+      power_w: power in flight in watts, for energy, else the vehicle's.
+      swath_m: width in metres of the strip in which people are counted, else 10.
+    """
+
+    speed_m_s: float
+    power_w: float
+    swath_m: float
+
+
+class MissionFile(TypedDict):
+    """What a .plan holds beside the route.
+
+    Attributes:
+      end: how the mission ends: land (the default), return or none.
+      fence_roofs_m: exclusion fences around the roofs within so many metres of the route that reach its height less the
+        vertical clearance.
+      from_roof: true: it takes off from the roof at the start, and its altitudes count from there.
+    """
+
+    end: MissionEnd
+    fence_roofs_m: float
+    from_roof: bool
 
 
 def exposure_of(
@@ -102,14 +137,6 @@ def exposure_of(
     return exposure
 
 
-class FlightOptions(TypedDict):
-    """Keywords of `explain`; None where its own default counts."""
-
-    speed_m_s: float | None
-    power_w: float | None
-    swath_m: float | None
-
-
 class RouteFiles(NamedTuple):
     """The files that a route is written to, and how; what is not asked for is None or False.
 
@@ -118,18 +145,14 @@ class RouteFiles(NamedTuple):
       is_when: a route is planned at every time of the maps, and files are its table.
       files: in the format that their names end in.
       simplify_m: how far straight legs may lie from the path.
-      end: how a mission ends.
-      fence_roofs_m: how far from the route roofs get a fence in a mission.
-      from_roof: a mission takes off from the roof at the start.
+      mission: what a mission holds beside the route.
     """
 
     profile: Path | None
     is_when: bool
     files: tuple[Path, ...]
     simplify_m: float | None
-    end: "MissionEnd | None"
-    fence_roofs_m: float | None
-    from_roof: bool
+    mission: Settings
 
     @property
     def suffixes(self) -> set[str]:
@@ -137,27 +160,12 @@ class RouteFiles(NamedTuple):
         return {file.suffix.lower() for file in self.files}
 
 
-@click.command()
+@command()
 @ROUTE
-@click.option(
-    "--planner",
-    help="Such as ptp, astar-dist or theta-star.  [default: the scenario's, else astar-plus]",
-)
-@click.option("--heuristic", help="Lower bound of the search.  [default: the planner's own]")
-@click.option(
-    "--backend",
-    type=click.Choice(["auto", "numba", "jax"]),
-    default="auto",
-    show_default=True,
-    help="What searches.",
-)
-@NUMBER("--budget", "budget_s", help="Seconds of search.  [default: the scenario's, else 10]")
-@click.option(
-    "--seed", type=COUNT, help="Seed of sampling planners.  [default: the scenario's, else 0]"
-)
+@click.option("--planner", type=Values(SearchOptions), default="", help="What searches, and how.")
 @FLAG(
     "--refine",
-    help="Move the waypoints to lower cost after the search; not under --cost-model cell.",
+    help="Move the waypoints to lower cost after the search; not under the cost model cell.",
 )
 @click.option(
     "--on-ground/--ends-in-air",
@@ -177,44 +185,15 @@ class RouteFiles(NamedTuple):
     type=click.Choice(["weighted", "distance"]),
     help="[default: the scenario's, else weighted]",
 )
-@grouped_options(
-    "levels",
-    levels_given,
-    FLAG(
-        "--volume", "is_volume", help="Let the path climb and descend; --altitude is the start's."
-    ),
-    OF_VOLUME(
-        "--min-altitude", "min_altitude_m", help="With --volume, metres.  [default: the lowest]"
-    ),
-    OF_VOLUME(
-        "--max-altitude", "max_altitude_m", help="With --volume, metres.  [default: the highest]"
-    ),
-    OF_VOLUME(
-        "--level-step", "level_step_m", help="With --volume: levels so many metres apart too."
-    ),
-    OF_VOLUME(
-        "--climb-cost", help="With --volume: cost per metre up.  [default: the distance weight]"
-    ),
-    OF_VOLUME(
-        "--descent-cost", default=0.0, help="With --volume: cost per metre down.  [default: 0]"
-    ),
+@ASKED(
+    "--volume",
+    type=Values(Volume),
+    help="Let the path climb and descend; --altitude is the start's.",
 )
-@OF_VOLUME(
-    "--goal-altitude", "goal_altitude_m", help="With --volume, metres.  [default: --altitude]"
-)
-@FLAG("--report", "with_report", help="Report costs, people and clearance, by segment.")
-@grouped_options(
-    "flight",
-    FlightOptions,
-    NUMBER("--speed", "speed_m_s", help="Metres per second, for times.  [default: the vehicle's]"),
-    NUMBER(
-        "--power", "power_w", help="Power in flight in watts, for energy.  [default: the vehicle's]"
-    ),
-    NUMBER(
-        "--swath",
-        "swath_m",
-        help="Width in metres of the strip in which people are counted.  [default: 10]",
-    ),
+@ASKED(
+    "--report",
+    type=Values(FlightOptions),
+    help="Report costs, people and clearance, by segment.",
 )
 @CORRIDOR
 @grouped_options(
@@ -238,19 +217,10 @@ class RouteFiles(NamedTuple):
         "[default: half a cell in .gpx and .plan, else 0]",
     ),
     click.option(
-        "--end",
-        type=click.Choice(["land", "return", "none"]),
-        help="How a .plan ends.  [default: land]",
-    ),
-    METRES(
-        "--fence-roofs",
-        "fence_roofs_m",
-        help="Make exclusion fences in a .plan of the roofs within METRES of the route that reach its height less the "
-        "vertical clearance.",
-    ),
-    FLAG(
-        "--from-roof",
-        help="A .plan takes off from the roof at the start; its altitudes count from it.",
+        "--mission",
+        type=Values(MissionFile),
+        default="",
+        help="What a .plan holds beside the route.",
     ),
 )
 @DEVICE
@@ -260,16 +230,16 @@ def plan_command(
     start: tuple[float, ...],
     goal: tuple[float, ...],
     altitude_m: float,
-    goal_altitude_m: float | None,
-    levels: "Levels | None",
+    volume: Settings | None,
     time: str | None,
     time_of_day: str | None,
     maps_of: MapsOf,
+    weights: dict[str, float],
     objective: "Objective | None",
-    rules: RouteOptions,
-    with_report: bool,
-    flight: Settings,
-    corridor: "Callable[..., OverflownDensity] | None",
+    rules: Settings,
+    planner: Settings,
+    report: Settings | None,
+    corridor: Settings | None,
     outputs: RouteFiles,
     as_json: bool,
     **search: Any,
@@ -277,23 +247,31 @@ def plan_command(
     """Plan a path over the maps in DIR."""
     # Refuse what cannot be written before a long search. ``search`` holds all further options; they are keywords of the
     # search.
-    flight = values_given(flight)
-    with_report = with_report or bool(flight) or corridor is not None
-    _check_options(outputs, search, with_report or levels is not None)
+    search |= planner
+    with_report = report is not None or corridor is not None
+    _check_options(outputs, search, with_report or volume is not None)
     search["on_ground"] = _on_ground(outputs, search)
-    route_m = altitude_m if levels is None else None
-    check_route(folder, route_m, time, rules["weights"], search)
+    route_m = altitude_m if volume is None else None
+    check_route(folder, route_m, time, weights, search)
 
     # The maps, and what is chosen of them.
-    maps = maps_of(folder).open()
+    maps = maps_of(folder, rules.pop("obstacles")).open()
     if not outputs.suffixes.isdisjoint(FLOWN):
         constraints = rules["constraints"].for_flight(maps.planning, rules["preset"])
         rules = rules | {"constraints": constraints}
-    choice: Settings = {"time": time, "time_of_day": time_of_day, "objective": objective, **rules}
+    choice: Settings = {
+        "time": time,
+        "time_of_day": time_of_day,
+        "objective": objective,
+        "weights": weights,
+        **rules,
+    }
 
     # Imported here: it takes a second or two.
+    from jaxurban.maps.levels import Levels
     from jaxurban.paths.explain import explain, with_return_altitude
     from jaxurban.paths.finish import simplify
+    from jaxurban.paths.ground_risk import overflown_density
     from jaxurban.paths.plan import cost_map
     from jaxurban.paths.search import PathSearch
     from jaxurban.paths.when import when
@@ -305,9 +283,11 @@ def plan_command(
         return _write_departures(departures, maps, outputs, as_json)
 
     # One route. In a volume its ends are longitude, latitude and altitude.
-    if levels is not None:
+    levels = None
+    if volume is not None:
         start = (*start, altitude_m)
-        goal = (*goal, altitude_m if goal_altitude_m is None else goal_altitude_m)
+        goal = (*goal, volume.pop("goal_altitude_m", altitude_m))
+        levels = Levels(**volume)
     path_search = PathSearch.of(maps.planning, levels is not None, **search)
     costs = cost_map(maps, levels or altitude_m, **choice)
     _log_closed(costs)
@@ -316,13 +296,13 @@ def plan_command(
         planned = simplify(planned, costs, outputs.simplify_m)
 
     # Its report, which the profile needs too, its files, and what is printed.
-    report = density = None
+    explained = density = None
     if planned.status.has_path and (with_report or outputs.profile is not None):
         if corridor is not None:
-            density = corridor(costs.maps, planned, time_of_day=time_of_day)
-        report = explain(planned, costs.maps, density=density, **flight)
-        report = with_return_altitude(report, planned, costs.maps)
-    return _write_route(planned, costs, report, with_report, outputs, as_json)
+            density = overflown_density(costs.maps, planned, time_of_day=time_of_day, **corridor)
+        explained = explain(planned, costs.maps, density=density, **(report or {}))
+        explained = with_return_altitude(explained, planned, costs.maps)
+    return _write_route(planned, costs, explained, with_report, outputs, as_json)
 
 
 def _check_options(outputs: RouteFiles, search: Settings, is_of_one_route: bool) -> None:
@@ -346,18 +326,17 @@ def _check_options(outputs: RouteFiles, search: Settings, is_of_one_route: bool)
     else:
         for file in outputs.files:
             check_route_file(file)
-    of_missions = {
-        "--end": outputs.end,
-        "--fence-roofs": outputs.fence_roofs_m,
-        "--from-roof": outputs.from_roof or None,
-    }
-    for option in values_given(of_missions):
-        if MISSION not in outputs.suffixes:
-            raise click.UsageError(f"{option} is of a mission: add -o FILE.plan")
+    if outputs.mission and MISSION not in outputs.suffixes:
+        raise click.UsageError("--mission is of a mission: add -o FILE.plan")
     if outputs.profile is not None:
         check_picture(outputs.profile)
-    how_written = outputs._replace(profile=None, is_when=False, files=())
-    of_one_route = [search["refine"], search["exposure"], search["on_ground"], *how_written]
+    of_one_route = [
+        search["refine"],
+        search["exposure"],
+        search["on_ground"],
+        outputs.simplify_m,
+        outputs.mission,
+    ]
     if outputs.is_when and (is_of_one_route or any(of_one_route)):
         raise click.UsageError(NOT_WHEN)
 
@@ -367,7 +346,7 @@ def _on_ground(outputs: RouteFiles, search: Settings) -> "OnGround":
     on_ground = search["on_ground"]
     if on_ground is None:
         on_ground = search["snap"] is not False and MISSION in outputs.suffixes
-    return "goal" if on_ground and outputs.from_roof else on_ground
+    return "goal" if on_ground and outputs.mission.get("from_roof") else on_ground
 
 
 def _log_closed(costs: "CostMap") -> None:
@@ -550,16 +529,16 @@ def _write(
                 LOG.info(f"{file}: {sentence}")
 
     # A mission has an end and maybe fences.
-    end = roofs = None
+    mission: Settings = {}
     if suffix == MISSION:
-        end = outputs.end
-        if outputs.fence_roofs_m is not None:
-            roofs = roof_fences(planned, outputs.fence_roofs_m)
-        notes.append(mission_note(planned, end or "land", roofs, outputs.from_roof))
+        mission = outputs.mission.copy()
+        fences_m = mission.pop("fence_roofs_m", None)
+        if fences_m is not None:
+            mission["roofs"] = roof_fences(planned, fences_m)
+        notes.append(mission_note(planned, **mission))
     elif suffix in WAYPOINTS:
         notes.append(elevation_note(planned))
-    from_roof = suffix == MISSION and outputs.from_roof
-    write_path(planned, file, report, end=end, roofs=roofs, from_roof=from_roof)
+    write_path(planned, file, report, **mission)
     LOG.info(f"wrote {file}: {' '.join(notes)}" if notes else f"wrote {file}")
 
 

@@ -1,266 +1,164 @@
-"""jaxurban sensitivity, of one route, and jaxurban sensitivity-study, of many routes in one or several cities."""
+"""jaxurban sensitivity, of one route or of many, in one or several cities."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
 from jaxurban.cli.common import (
-    COUNT,
-    DEVICE,
-    FLAG,
     GIVEN,
     JSON_FLAG,
     MAPS,
     MAPS_PATH,
-    NAMES,
     OVERWRITE,
     PATH,
+    PLACE,
     POSITIVE_COUNT,
-    ROUTE,
+    PROCESSES,
     RULES,
-    SEED,
     SHOWN,
-    WORKERS,
-    DependentOption,
+    SNAP,
+    WEIGHTS,
     MapsOf,
-    Numbers,
     Point,
-    RouteOptions,
     Settings,
     all_cores,
-    options_together,
+    log_lines,
     outcome_of,
     print_json,
-    run_study,
 )
+from jaxurban.cli.options import Names, Numbers, Values, command
 from jaxurban.progress import LOG
+from jaxurban.studies.weights.settings import SensitivitySettings
 
 NO_ROUTE = "no route was found, so that nothing can be said: the report says why"
-WEIGHT_RANGES = options_together(
-    NAMES(
-        "--vary",
-        metavar="NAME,...",
-        help="Weights that vary.  [default: every metric with a weight]",
-    ),
-    SHOWN(
-        "--range",
-        "factors",
-        type=Numbers("LOW,HIGH", "two factors, as in 0.1,10", 2),
-        default="0.1,10",
-        help="Range of each weight, as factors of its value.",
-    ),
-    SEED,
-    OVERWRITE,
-    DEVICE,
-    JSON_FLAG,
-)
 DRAWN_ROUTES = 30  # in each folder of maps
-
-
-@click.command()
-@ROUTE
-@SHOWN("--samples", "num_samples", default=128, help="Sobol samples; a power of two.")
-@NAMES(
-    "--pareto",
-    "objectives",
-    metavar="A,B[,C]",
-    help="Objectives of the Pareto front.  [default: distance, the two costliest]",
+OF_STUDY = (
+    "num_samples",
+    "num_heights",
+    "has_parameters",
+    "wrong",
+    "seed",
+    "tolerance",
+    "max_plans",
 )
-@SHOWN(
-    "--tolerance",
-    default=1e-3,
-    help="Relative tolerance of the Pareto front; 1e-9 gives every route.",
-)
-@FLAG("--buildings", help="Also rank buildings by what they cost the route.")
-@click.option(
-    "--scenario",
-    cls=DependentOption,
-    owner="--buildings",
-    type=GIVEN,
-    help="Scenario of the maps, for --buildings, if its paths are relative.",
-)
-@WEIGHT_RANGES
-@SHOWN("-o", "output", type=PATH, default=Path("out/sensitivity"))
-def sensitivity_command(
-    folder: Path,
-    start: Point,
-    goal: Point,
-    altitude_m: float,
-    time: str | None,
-    time_of_day: str | None,
-    maps_of: MapsOf,
-    rules: RouteOptions,
-    snap: bool | float,
-    buildings: bool,
-    scenario: Path | None,
-    output: Path,
-    overwrite: bool,
-    as_json: bool,
-    **options: Any,
-) -> int:
-    """Find the weights at which a route changes.
-
-    The route is planned over the maps in DIR.
-    """
-    from jaxurban.io.tables import records_of
-    from jaxurban.io.workspace import Workspace
-    from jaxurban.paths.plan import cost_map
-    from jaxurban.report.buildings import write_buildings
-    from jaxurban.report.sensitivity import ranges, sensitivity_markdown, sensitivity_outputs
-    from jaxurban.report.write import REPORT_FILE, save
-    from jaxurban.studies.weights.study import SensitivitySettings, sensitivity
-
-    settings = SensitivitySettings(**options)  # all other options are its fields
-
-    # The maps and the route; without a route there is nothing to study.
-    maps = maps_of(folder).open()
-    costs = cost_map(
-        maps, altitude_m, objective="weighted", time=time, time_of_day=time_of_day, **rules
-    )
-    costs.maps.check_altitude(altitude_m)  # whose map its figures show
-    first = costs.plan(start, goal, snap=snap)
-    if not first.status.has_path:
-        LOG.info(first.to_dict()["message"])
-        if as_json:
-            print_json(first.to_dict(), first.status.exit_code)
-        return first.status.exit_code
-    if first.search.note:
-        LOG.info(first.search.note)
-
-    result = run_study(
-        "sensitivity",
-        output,
-        partial(sensitivity, costs, start, goal, snap=snap, settings=settings),
-        overwrite,
-    )
-
-    # The ranking of buildings, and the report again, which then holds it. The folder is opened with the settings of
-    # this study, as another run may have come in between.
-    if buildings:
-        _, settings_of_route = sensitivity_outputs(result)
-        with Workspace.open(output, "sensitivity", settings_of_route):
-            ranking = write_buildings(folder, first, output / "buildings", scenario=scenario)
-            save(output, {REPORT_FILE: sensitivity_markdown(result, ranking)})
-    if as_json:
-        tables = result.tables().items()
-        facts = {
-            "route": result.route.to_dict(),
-            "ranges": {name: ranges(result, name) for name in result.lines},
-            "tables": {name: records_of(table.reset_index()) for name, table in tables},
-            "num_plans": result.num_plans,
-            "elapsed_s": result.elapsed_s,
-        }
-        print_json(facts)
-    return 0
 
 
-@click.command()
-@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=MAPS_PATH)
+def routes_in(ctx: click.Context, param: click.Parameter, text: str | None) -> int | Path | None:
+    """Return the number of routes to draw, or the file that holds them."""
+    if text is None:
+        return None
+    kind: click.ParamType = POSITIVE_COUNT if text.isdecimal() else GIVEN
+    value: int | Path = kind.convert(text, param, ctx)
+    return value
+
+
+@command()
+@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=MAPS_PATH, is_eager=True)
+@PLACE("--start", required=False, help="Start of one route: longitude,latitude in degrees.")
+@PLACE("--goal", required=False, help="Goal of one route: longitude,latitude in degrees.")
 @click.option(
     "--routes",
-    "num_routes",
-    type=POSITIVE_COUNT,
-    help="Number of routes drawn in each DIR.  [default: 30]",
+    metavar="NUMBER|FILE",
+    callback=routes_in,
+    help="Instead of one route: how many to draw in each DIR, or a table of routes (.csv, .parquet).  [default: 30]",
 )
 @click.option(
-    "--altitudes",
+    "--altitude",
     "altitudes_m",
     type=Numbers("M,...", "numbers, as in 20,60"),
-    help="Altitudes of --routes.  [default: all of the maps']",
+    help="Altitudes in metres above ground, but of a table's routes.  [default: all of the maps']",
+)
+@SNAP
+@click.option(
+    "--vary",
+    type=Names(),
+    default=(),
+    metavar="NAME,...",
+    help="Weights that vary.  [default: every metric with a weight]",
+)
+@SHOWN(
+    "--range",
+    "factors",
+    type=Numbers("LOW,HIGH", "two factors, as in 0.1,10", 2),
+    default="0.1,10",
+    help="Range of each weight, as factors of its value.",
 )
 @click.option(
-    "--queries", type=GIVEN, help="Table of routes to study instead of drawn ones (.csv, .parquet)."
+    "--study",
+    type=Values(SensitivitySettings, OF_STUDY),
+    default="",
+    help="What is asked of every route.",
 )
 @MAPS
+@WEIGHTS
 @RULES
-@SHOWN("--wrong", default=2.0, help="Factor by which a wrong weight is off, for its regret.")
-@SHOWN("--samples", "num_samples", default=32, help="Sobol samples of each route; a power of two.")
-@click.option(
-    "--heights",
-    "num_heights",
-    type=COUNT,
-    default=0,
-    help="Number of draws of building heights to plan again on.",
-)
-@FLAG(
-    "--parameters",
-    "has_parameters",
-    help="Also plan on maps with each threshold, range and gamma of the metrics halved and doubled.",
-)
-@click.option(
-    "--scenario",
-    type=GIVEN,
-    help="Scenario of the maps, for --heights and --parameters, if its paths are relative; only with one DIR.",
-)
-@WORKERS
-@WEIGHT_RANGES
-@SHOWN("-o", "output", type=PATH, default=Path("out/sensitivity-study"))
-def sensitivity_study_command(
+@PROCESSES
+@OVERWRITE
+@JSON_FLAG
+@SHOWN("-o", "output", type=PATH, default=Path("out/sensitivity"))
+def sensitivity_command(
     folders: tuple[Path, ...],
-    num_routes: int | None,
+    start: Point | None,
+    goal: Point | None,
+    routes: int | Path | None,
     altitudes_m: tuple[float, ...] | None,
-    queries: Path | None,
+    snap: bool | float,
+    vary: tuple[str, ...],
+    factors: tuple[float, float],
+    study: Settings,
     maps_of: MapsOf,
+    weights: dict[str, float],
     rules: Settings,
-    scenario: Path | None,
-    workers: int | str | None,
-    output: Path,
+    workers: int | None,
     overwrite: bool,
     as_json: bool,
-    **options: Any,
+    output: Path,
 ) -> int:
-    """Find the weights at which many routes change.
+    """Find the weights at which a route changes, or many do.
 
-    The routes are planned over the maps in each DIR.
+    The routes are planned over the maps in each DIR: one from --start to --goal, or those of --routes.
     """
-    if queries is not None and (num_routes is not None or altitudes_m):
-        raise click.UsageError(
-            "--queries names the routes: leave out --routes and --altitudes, or --queries"
-        )
+    if (start is None) != (goal is None) or (start and routes):
+        raise click.UsageError("one route has a --start and a --goal, several have --routes")
+    settings = SensitivitySettings(vary=vary, factors=factors, **study)
 
     from jaxurban.io.tables import read_table, records_of
-    from jaxurban.maps.sources import scenario_of
-    from jaxurban.report.run_sensitivity import sensitivity_study
-    from jaxurban.studies.weights.routes import SensitivityStudySettings
+    from jaxurban.report.run_sensitivity import sensitivity
 
-    # The scenario of the one folder, which goes by the name of its city.
-    scenarios = None
-    if scenario is not None:
-        if len(folders) > 1 or not (options["num_heights"] or options["has_parameters"]):
-            raise click.UsageError("--scenario belongs to --heights or --parameters of one DIR")
-        scenarios = {folders[0].resolve().name: scenario_of(folders[0], scenario.parent)}
-
-    # All further options and rules are fields of the settings, but for the weights, which belong to the routes.
-    weights = rules.pop("weights")
-    settings = SensitivityStudySettings(**options, **rules)
-    routes = num_routes or DRAWN_ROUTES
-    result = sensitivity_study(
-        [maps_of(folder) for folder in folders],
+    asked: Any = routes or DRAWN_ROUTES
+    if start is not None:
+        asked = [(start, goal)]
+        workers = 1
+    elif isinstance(routes, Path):
+        asked = read_table(routes, "routes")
+    obstacles = rules.pop("obstacles")
+    result = sensitivity(
+        [maps_of(folder, obstacles) for folder in folders],
         output,
-        routes if queries is None else read_table(queries, "queries"),
+        asked,
         altitudes_m=altitudes_m,
         weights=weights,
+        snap=snap,
         settings=settings,
-        scenarios=scenarios,
         workers=workers or all_cores(),
         overwrite=overwrite,
+        **rules,
     )
 
-    # What is printed: warnings, where the report is, and with --json the summaries.
+    # What is printed: the first lines, where the report is, and with --json the tables.
     statuses, code, message = outcome_of(result.rows, NO_ROUTE)
-    if "sobol_summary" in result.tables:
-        needed = result.tables["sobol_summary"].samples_needed.max()
-        if needed > 0:
-            remedy = f"about {needed:.0f} samples (--samples {needed:.0f}) should resolve them"
-            LOG.warning(f"warning: some Sobol shares are not resolved: {remedy}")
-    LOG.info(
-        f"study of sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}"
-    )
+    if start is not None and result.rows.note[0]:
+        LOG.info(result.rows.note[0])
+    log_lines(result.decided.facts)
+    LOG.info(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
-        names = [name for name in result.tables if name.endswith("summary")]
-        summaries = {name: records_of(result.tables[name]) for name in names}
-        facts = {"folder": str(output), "statuses": statuses, "tables": summaries}
+        tables = {name: records_of(table) for name, table in result.tables.items()}
+        facts = {
+            "folder": str(output),
+            "decided": result.decided.to_dict(),
+            "statuses": statuses,
+            "tables": tables,
+        }
         print_json(facts, code, message)
     return code

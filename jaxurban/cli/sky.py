@@ -21,6 +21,7 @@ from jaxurban.cli.common import (
     print_json,
     write_outputs,
 )
+from jaxurban.cli.options import command
 from jaxurban.paths.export.suffixes import PICTURES
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ MOST_ROWS = 40
 NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
 
 
-@click.command()
+@command()
 @FOLDER
 @click.option("--at", "place", type=LONLAT, help="Place: longitude,latitude in degrees.")
 @click.option(

@@ -7,7 +7,6 @@ import click
 
 from jaxurban.cli.common import (
     CHANGES,
-    CONSTRAINTS,
     DEVICE,
     GIVEN,
     JSON_FLAG,
@@ -17,11 +16,15 @@ from jaxurban.cli.common import (
     PRESET,
     SCENARIO,
     WORKERS,
+    ZONES,
     Settings,
     all_cores,
+    constraints_given,
+    log_lines,
     outcome_of,
     print_json,
 )
+from jaxurban.cli.options import command, grouped_options
 from jaxurban.progress import LOG, reporting
 
 if TYPE_CHECKING:
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
 NO_ROUTE = "no planner found a path for any instance: the report says why"
 
 
-@click.command()
+@command()
 @SCENARIO
 @click.option("-o", "folder", type=PATH, required=True, help="Folder of the maps and the study.")
 @click.option(
@@ -44,7 +47,7 @@ NO_ROUTE = "no planner found a path for any instance: the report says why"
 )
 @CHANGES
 @PRESET
-@CONSTRAINTS
+@grouped_options("constraints", constraints_given, ZONES, names=("no_fly", "require"))
 @WORKERS
 @OVERWRITE
 @DEVICE
@@ -130,6 +133,7 @@ def study_command(
         **rules,
     )
     report_file = result.save(analysis)[-1]
+    log_lines(result.decided.facts)
     LOG.info(f"study finished: read {report_file}")
 
     # What is printed with --json.
@@ -140,6 +144,7 @@ def study_command(
         "rows": str(result.folder / "rows.parquet"),
         "num_rows": len(result.rows),
         "statuses": statuses,
+        "decided": result.decided.to_dict(),
     }
     if as_json:
         print_json(facts, code, message)

@@ -1,17 +1,14 @@
 """jaxurban tune."""
 
-import math
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import click
 
 from jaxurban.checks import values_given
 from jaxurban.cli.common import (
-    CONSTRAINTS,
-    COUNT,
     DEVICE,
-    FLAG,
     GIVEN,
     JSON_FLAG,
     MAPS,
@@ -20,29 +17,45 @@ from jaxurban.cli.common import (
     OUTPUT,
     OVERWRITE,
     POSITIVE_COUNT,
-    PRESET,
-    SEED,
+    RULES,
     MapsOf,
     Settings,
-    grouped_options,
+    log_lines,
     print_json,
 )
+from jaxurban.cli.options import Values, command
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
     from jaxurban.paths.rows import MapsFolder
 
 
-class Fits(TypedDict):
-    """Keywords of `compare_fits`; None where its own default counts."""
-
-    scale: str | None
-    bootstrap: int | None
-    hold_out: float | None
-    by_city: bool | None
+OF_SEARCH = ("max_rounds", "seed", "budget_s")  # of `Fit`: the settings of the search
 
 
-@click.command()
+class Fit(TypedDict):
+    """How weights are fitted; what is left out is as `compare_fits` and `FitSettings` have it.
+
+    Attributes:
+      scale: simplex (weights sum to 1) or distance (it has the weight 1), else what fits.
+      bootstrap: number of fits for the intervals, else 200.
+      hold_out: share of the routes to keep from the fits, to test them, else 0.25 from 16 routes on.
+      by_city: true: also fit to each city alone, and to all cities but it.
+      max_rounds: most rounds of searches, else 20.
+      seed: of all noise, else 0.
+      budget_s: seconds after which no further round begins.
+    """
+
+    scale: Literal["simplex", "distance"]
+    bootstrap: int
+    hold_out: float
+    by_city: bool
+    max_rounds: int
+    seed: int
+    budget_s: float
+
+
+@command()
 @click.argument("words", metavar="DIR [ROUTES]...", type=GIVEN, nargs=-1, required=True)
 @OUTPUT
 @click.option(
@@ -82,37 +95,8 @@ class Fits(TypedDict):
     "--time", help="Time of the GPS map, UTC.  [default: the routes' own, else the first]"
 )
 @MAPS
-@click.option(
-    "--cost-model",
-    type=click.Choice(["cell", "line"]),
-    help="Cost model; cell is the paper's.  [default: the routes' own, else the scenario's]",
-)
-@PRESET
-@CONSTRAINTS
-@grouped_options(
-    "fits",
-    Fits,
-    click.option(
-        "--scale",
-        type=click.Choice(["simplex", "distance"]),
-        help="Weights sum to 1, or distance has 1.",
-    ),
-    click.option(
-        "--bootstrap", type=COUNT, help="Number of fits for the intervals.  [default: 200]"
-    ),
-    NUMBER(
-        "--hold-out",
-        help="Share of the routes that is kept from the fits, to test them.  [default: 0]",
-    ),
-    FLAG("--by-city", default=None, help="Also fit to each city alone, and to all cities but it."),
-)
-@click.option(
-    "--rounds", "max_rounds", type=POSITIVE_COUNT, default=20, help="Most rounds of searches."
-)
-@SEED
-@NUMBER(
-    "--budget", "budget_s", default=math.inf, help="Seconds after which no further round begins."
-)
+@RULES
+@click.option("--fit", type=Values(Fit), default="", help="How weights are fitted.")
 @OVERWRITE
 @DEVICE
 @JSON_FLAG
@@ -124,10 +108,8 @@ def tune_command(
     planner: str | None,
     wishes: tuple[str, ...],
     maps_of: MapsOf,
-    fits: Settings,
-    max_rounds: int,
-    seed: int,
-    budget_s: float,
+    rules: Settings,
+    fit: Settings,
     overwrite: bool,
     as_json: bool,
     **routes: Any,
@@ -139,19 +121,21 @@ def tune_command(
     ROUTES are files of lines (GeoJSON, KML, GPX), tables of instances (.csv, .parquet) or folders of a study; without
     any, the study that `jaxurban study` kept in DIR. Several DIRs, each with its ROUTES, are fitted together.
     """
-    fits = values_given(fits)
-    if wishes and fits:
+    search = {name: fit.pop(name) for name in OF_SEARCH if name in fit}
+    beside = fit.keys() - {"hold_out"}
+    if wishes and beside:
         raise click.UsageError(
-            "--scale, --bootstrap, --hold-out and --by-city belong to fits without --wish: leave them out"
+            f"--fit {', '.join(sorted(beside))} belongs to fits without --wish: leave it out"
         )
 
     from jaxurban.metrics.weights import Weights
     from jaxurban.report.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
 
-    # What decides the fit: ``routes`` holds all further options, which are of the routes. A preset that is not given is
-    # an empty text, and weights that the pilot does not name are 0.
-    routes["preset"] = routes["preset"] or None
+    # What decides the fit: ``routes`` holds all further options, which are of the routes, and gets the rules. A preset
+    # that is not given is an empty text, and weights that the pilot does not name are 0.
+    obstacles = rules.pop("obstacles")
+    routes |= rules | {"preset": rules["preset"] or None}
     pilot_weights = None
     if pilot is not None:
         no_weights = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
@@ -162,15 +146,18 @@ def tune_command(
         pilot=pilot_weights,
         planner=planner,
         targets=wishes,
-        fits=fits,
-        fit=FitSettings(max_rounds=max_rounds, seed=seed, budget_s=budget_s),
+        fits=fit,
+        fit=FitSettings(**search),
     )
-    sources = _sources_of(words, maps_of, has_routes=sample is not None)
+    sources = _sources_of(
+        words, partial(maps_of, obstacles=obstacles), has_routes=sample is not None
+    )
     facts = run_tuning(sources, output, settings, overwrite=overwrite)
 
     # What is printed: the message, warnings that it does not hold, and the weights.
+    log_lines(facts["decided"]["lines"])
     LOG.info(facts["message"])
-    for warning in facts.get("unidentified", []) + facts.get("warnings", []):
+    for warning in facts.get("warnings", []):
         if warning != facts["message"]:
             LOG.info(f"warning: {warning}")
     LOG.info(

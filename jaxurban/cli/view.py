@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import click
 
 from jaxurban.cli.common import FLAG, FOLDER, MAPS, MAPS_PATH, PATH, PRESET, SHOWN, SOURCES, MapsOf
+from jaxurban.cli.options import command
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
     from jaxurban.settings import Preset
 
 
-@click.command()
+@command()
 @FOLDER
 @MAPS
 @PRESET

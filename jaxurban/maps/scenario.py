@@ -38,6 +38,7 @@ from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.settings import (
+    DEFAULTS,
     Backend,
     Buildings,
     CostKind,
@@ -84,8 +85,8 @@ OneOrMore = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]  # a TOML ma
 
 
 def _check_planner(name: str) -> None:
-    """Raise InputError for an unknown planner; the registry, which brings Numba, is asked beyond the paper's."""
-    if name not in PAPER_PLANNERS:
+    """Raise InputError for an unknown planner; the registry, which brings Numba, is asked of few names alone."""
+    if name not in (DEFAULTS.planner, *PAPER_PLANNERS):
         from jaxurban.planners.registry import find_planner
 
         find_planner(name)

@@ -1,18 +1,19 @@
 """What two sets of maps share: the cells, altitudes, times and layers that both hold."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyproj
+import xarray as xr
 
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.population import NORMS
 from jaxurban.public import listed
-from jaxurban.world.grid import Grid
+
+CELLS = {"y", "x"}
 
 
 class OneMap(NamedTuple):
@@ -32,37 +33,41 @@ def shared_part(a: MetricMaps, b: MetricMaps) -> tuple[MetricMaps, MetricMaps]:
     Raises:
       InputError: another CRS or resolution, no cell, altitude or layer that both hold, or times that do not pair.
     """
-    grid = _shared_grid(a.grid, b.grid)
-    altitudes_m = [z_m for z_m in a.altitudes_m if z_m in b.altitudes_m]
-    if not altitudes_m:
+    grid, other = a.grid, b.grid
+    if pyproj.CRS(grid.crs) != pyproj.CRS(other.crs) or grid.resolution_m != other.resolution_m:
+        raise InputError(
+            f"A's cells are {grid.resolution_m:g} m wide in {grid.crs} and B's {other.resolution_m:g} m in "
+            f"{other.crs}, so that none is in both: make B again with [region] crs = {grid.crs!r} and resolution_m = "
+            f"{grid.resolution_m:g} (a list makes several, of which --resolution chooses)"
+        )
+
+    # Cells, altitudes and times of day that both hold. Cells are numbered from the origin of the CRS, so that those of
+    # one CRS and resolution coincide, to the bit, wherever they meet.
+    ds_a, ds_b = xr.align(a.ds, b.ds, join="inner", exclude=[TIME])
+    if not ds_a.sizes["x"] * ds_a.sizes["y"]:
+        raise InputError("the maps share no cell: compare maps of regions that overlap")
+    if not ds_a.sizes[ALTITUDE]:
         of_a = listed([f"{z_m:g}" for z_m in a.altitudes_m])
         of_b = listed([f"{z_m:g}" for z_m in b.altitudes_m])
         raise InputError(
             f"the maps share no altitude: A holds {of_a} m and B {of_b} m; add one of A's to B's scenario"
         )
 
-    # The dimensions of each layer that both hold, by its name. A layer that varies with the time of day needs one that
-    # both hold.
-    days = [day for day in a.times_of_day if day in b.times_of_day]
-    layers = {}
-    for name, array in a.ds.data_vars.items():
-        dims = set(array.dims)
-        is_in_both = name in b.ds and set(b.ds[name].dims) == dims
-        if {"y", "x"} <= dims and is_in_both and (days or TIME_OF_DAY not in dims):
-            layers[name] = dims
-
-    # Times need to pair only where a layer varies with them.
-    times_a = a.times
-    times_b = b.times
-    if any(TIME in dims for dims in layers.values()):
-        pairs = _paired(a, b)
-        times_a = tuple(pairs)
-        times_b = tuple(pairs.values())
-    shared: dict[str, Sequence[Any]] = {ALTITUDE: altitudes_m, TIME_OF_DAY: days}
-    return (
-        _part(a, grid, [*layers], shared | {TIME: times_a}),
-        _part(b, grid, [*layers], shared | {TIME: times_b}),
-    )
+    # Layers along the same dimensions, none of which is empty; and the times, which need to pair only where a layer
+    # varies with them.
+    layers = [
+        name
+        for name, array in ds_a.data_vars.items()
+        if set(array.dims) >= CELLS
+        and name in ds_b
+        and set(ds_b[name].dims) == set(array.dims)
+        and array.size
+    ]
+    times_a: Sequence[str] = a.times
+    times_b: Sequence[str] = b.times
+    if any(TIME in ds_a[name].dims for name in layers):
+        times_a, times_b = _paired(a, b)
+    return _part(a, ds_a[layers], times_a, grid.crs), _part(b, ds_b[layers], times_b, grid.crs)
 
 
 def paired_times(a: MetricMaps, b: MetricMaps) -> dict[str, str]:
@@ -71,71 +76,33 @@ def paired_times(a: MetricMaps, b: MetricMaps) -> dict[str, str]:
     return dict(zip(a.times, b.times, strict=True)) if has_times else {}
 
 
-def _part(
-    maps: MetricMaps, grid: Grid, layers: Sequence[Any], shared: Mapping[str, Sequence[Any]]
-) -> MetricMaps:
-    """Return the part of maps on some of their cells, with some of their layers, altitudes and times.
+def _part(maps: MetricMaps, ds: xr.Dataset, times: Sequence[str], crs: str) -> MetricMaps:
+    """Return the part of maps that a dataset holds, at some of their times, in another name of their CRS.
 
-    Args:
-      maps: to be cut.
-      grid: the cells to keep, all within the maps' own; its CRS replaces the maps' name of the same CRS.
-      layers: names of the variables to keep.
-      shared: by dimension the values to keep, which the maps hold.
+    Attributes that hold one number for each time of day are cut with it.
     """
-    # The layers, and the place of each value to keep along its dimension.
-    ds = maps.ds.drop_vars([name for name in maps.ds.data_vars if name not in layers])
-    rows, cols = grid.window_in(replace(maps.grid, crs=grid.crs))
-    values: dict[str, Sequence[Any]] = {
-        ALTITUDE: maps.altitudes_m,
-        TIME: maps.times,
-        TIME_OF_DAY: maps.times_of_day,
-    }
-    indices: dict[str, Any] = {"y": rows, "x": cols}
-    for dim in values.keys() & set(ds.dims):
-        indices[dim] = [values[dim].index(value) for value in shared[dim]]
-
-    # Attributes that hold one number for each time of day are cut with it.
-    attrs = dict(ds.attrs, crs=grid.crs)
-    for norm in NORMS:
-        if norm in attrs and TIME_OF_DAY in indices:
-            attrs[norm] = np.atleast_1d(attrs[norm])[indices[TIME_OF_DAY]].tolist()
-    return MetricMaps(ds.isel(indices).assign_attrs(attrs), maps.obstacles)
+    if TIME in ds.dims:
+        ds = ds.isel({TIME: [maps.times.index(time) for time in times]})
+    attrs: dict[str, Any] = {"crs": crs}
+    if TIME_OF_DAY in ds.dims:
+        days = [maps.times_of_day.index(day) for day in ds[TIME_OF_DAY].values]
+        attrs |= {
+            norm: np.atleast_1d(ds.attrs[norm])[days].tolist() for norm in NORMS if norm in ds.attrs
+        }
+    return MetricMaps(ds.assign_attrs(attrs), maps.obstacles)
 
 
-def _shared_grid(a: Grid, b: Grid) -> Grid:
-    """Return the grid of the cells that two grids share.
-
-    Cells are numbered from the origin of the CRS, so cells of one CRS and one resolution coincide wherever they meet.
-
-    Raises:
-      InputError: another CRS or resolution, or no cell that both hold.
-    """
-    if pyproj.CRS(a.crs) != pyproj.CRS(b.crs) or a.resolution_m != b.resolution_m:
-        raise InputError(
-            f"A's cells are {a.resolution_m:g} m wide in {a.crs} and B's {b.resolution_m:g} m in {b.crs}, so that none "
-            f"is in both: make B again with [region] crs = {a.crs!r} and resolution_m = {a.resolution_m:g} (a list "
-            "makes several, of which --resolution chooses)"
-        )
-    first_a = [a.first_row, a.first_col]
-    first_b = [b.first_row, b.first_col]
-    first = np.maximum(first_a, first_b)
-    shape = np.minimum(np.add(first_a, a.shape), np.add(first_b, b.shape)) - first
-    if shape.min() <= 0:
-        raise InputError("the maps share no cell: compare maps of regions that overlap")
-    return Grid(a.crs, a.resolution_m, *first.tolist(), *shape.tolist())
-
-
-def _paired(a: MetricMaps, b: MetricMaps) -> dict[str, str]:
-    """Return the time of B that stands beside each time of A, by A's time: the same one, or both maps' single time.
+def _paired(a: MetricMaps, b: MetricMaps) -> tuple[Sequence[str], Sequence[str]]:
+    """Return the times of A and those of B beside them: the same ones, or both maps' single time.
 
     Raises:
       InputError: no time is in both, and one of them holds several.
     """
     if len(a.times) == len(b.times) == 1:
-        return {a.times[0]: b.times[0]}
-    shared = {time: time for time in a.times if time in b.times}
+        return a.times, b.times
+    shared = [time for time in a.times if time in b.times]
     if shared:
-        return shared
+        return shared, shared
     raise InputError(
         f"the maps share no time, A holds {listed(a.times)} and B {listed(b.times)}: compare maps of a single time "
         "each, as in MetricMaps(maps.ds.isel(time=[0]))"

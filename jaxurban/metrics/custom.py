@@ -30,7 +30,7 @@ from jaxurban.metrics.base import (
     Variable,
 )
 from jaxurban.metrics.registry import METRICS, known_metrics
-from jaxurban.metrics.variables import AUXILIARY_VARIABLES, derived, stored_name
+from jaxurban.metrics.variables import AUXILIARY_VARIABLES, STORED_AS, derived, stored_name
 from jaxurban.settings import not_negative
 from jaxurban.world.surface import Surface
 
@@ -192,7 +192,8 @@ def reserved_names() -> set[str]:
     """Return the names that no layer has, as those of metrics, of their maps and of columns of tables."""
     names = {*_OF_ROUTES, *_OF_MAPS}
     for metric in known_metrics().values():
-        names.update(metric.variables, *derived(metric).values())
+        stored = [f"{metric.name}_{suffix}" for suffix in STORED_AS]
+        names.update(metric.variables, *derived(metric).values(), stored)
     return names
 
 

@@ -36,6 +36,7 @@ NEEDED = ("obstacle", "has_data")  # without these maps it is not a folder of ma
 # What is kept of a long series, behind the metric's name: of one that paths pay for, and of one that they do not.
 SERIES = ("availability", "median", "p05")
 HIGHEST = "highest"
+STORED_AS = ("median", HIGHEST)  # what a long series keeps in place of a metric
 _bound = partial(
     Variable,
     unit="m",
@@ -192,7 +193,7 @@ def stored_name(name: str, variables: Container[Hashable]) -> str:
       name: of the metric; it comes back where the maps do not hold it.
       variables: the names in the maps.
     """
-    names = name, f"{name}_median", f"{name}_{HIGHEST}"
+    names = name, *(f"{name}_{suffix}" for suffix in STORED_AS)
     return next((each for each in names if each in variables), name)
 
 

@@ -62,7 +62,7 @@ def plan_many(
     way out of any error. The same call again takes from it what is done and plans only the rest; with a larger budget
     also what a smaller one ended.
 
-    For planners that choose their heuristic, as ``astar-plus``, the whole table of queries decides it (see
+    For planners that choose their heuristic, as ``astar``, the whole table of queries decides it (see
     `choose_heuristics`), whatever is done already. So the routes are the same, resumed or not, on one thread or more.
     The column ``heuristic`` names it.
 

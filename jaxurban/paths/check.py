@@ -197,7 +197,7 @@ def _above_roof(flight: Flight, buildings: Prisms) -> list[str]:
         return []
     return [
         f"Home is said to be {above_m:.1f} m above the ground, and the known roofs there reach {roof_m:.1f} m, so the "
-        "flight may be lower than judged: correct home_above_ground_m (--home-above-ground)."
+        "flight may be lower than judged: correct home_above_ground_m (--heights home_above_ground_m=METRES)."
     ]
 
 

@@ -163,7 +163,7 @@ def gps_floor_m(maps: "MetricMaps", time: str | None = None) -> np.ndarray:
     if name not in maps.ds:
         raise InputError(
             "these maps hold no GPS floor: make them with a section [gps_floor], or leave above_gps_floor "
-            "(--above-gps-floor) out"
+            "(--require gps_floor) out"
         )
     return maps.m(name, time=time)
 
@@ -231,14 +231,13 @@ class Constraints:
         vertical_clearance_m: float | None = None,
         vehicle: Vehicle | None = None,
         unknown_heights: UnknownHeights | None = None,
-        above_gps_floor: bool = False,
     ) -> "Constraints":
         """Return the constraints in files, texts and numbers.
 
         Args:
           no_fly: a file of polygons or several (GeoJSON, KML ...; `read_zones` says what is read).
-          require: ``"gps>=0.3"``, or a list of such.
-          clearance_m, vertical_clearance_m, vehicle, unknown_heights, above_gps_floor: the attributes.
+          require: ``"gps>=0.3"``, or a list of such; ``"gps_floor"`` alone is ``above_gps_floor``.
+          clearance_m, vertical_clearance_m, vehicle, unknown_heights: the attributes.
 
         Returns:
           `Constraints` with every zone of the files and every bound, in their order.
@@ -259,8 +258,9 @@ class Constraints:
             from jaxurban.io.read.airspace import read_zones  # here: it brings pandas
 
             zones.extend(read_zones(file))
-        bounds = map(Bound.parse, as_tuple(require))
-        kept = clearance_m, vertical_clearance_m, vehicle, unknown_heights, above_gps_floor
+        texts = [str(text).strip() for text in as_tuple(require)]
+        bounds = [Bound.parse(text) for text in texts if text != GPS_FLOOR]
+        kept = clearance_m, vertical_clearance_m, vehicle, unknown_heights, GPS_FLOOR in texts
         return cls(tuple(zones), tuple(bounds), *kept)
 
     def __str__(self) -> str:
@@ -583,7 +583,8 @@ class Constraints:
         if self.above_gps_floor:
             floor_m = gps_floor_m(maps, time)[cell]
             if not floor_m <= altitude_m:
-                reasons.append(f"the GPS floor of {floor_m:.1f} m there")
+                floor = f"of {floor_m:.1f} m" if np.isfinite(floor_m) else "that no height reaches"
+                reasons.append(f"the GPS floor {floor} there")
 
         limit_m = limit_near_m(maps, cell, self.horizontal_m, self.of_unknown)
         if limit_m > 0 and limit_m >= altitude_m:

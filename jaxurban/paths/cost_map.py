@@ -288,7 +288,7 @@ class CostMap(FactsRepr):
     def prepare(self) -> "CostMap":
         """Return the map with landmarks, for many queries under these weights, each two to three times as fast.
 
-        They guide ``astar-plus`` where a query names no heuristic. Costs are the same; of equally cheap routes another
+        They guide ``astar`` where a query names no heuristic. Costs are the same; of equally cheap routes another
         one may be returned. This map stays as it is.
 
         Returns:
@@ -520,7 +520,7 @@ class CostMap(FactsRepr):
         if self.cost_model.kind == "cell":
             raise InputError(
                 "a budget of exposure is of an integral along the path, which cost_model='cell' does not add up: "
-                "choose cost_model='line' (--cost-model line)"
+                "choose cost_model='line' (--rules cost_model=line)"
             )
         for name in names:
             one_of("exposure", name, self.names)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
 
 ABOVE_HIGHEST = (
-    "Roofs of unknown height count up to their bound: with --unknown-heights likely (Python: unknown_heights) they "
+    "Roofs of unknown height count up to their bound: with unknown_heights likely (--rules) they "
     "count up to what 99 % of their kind keep below."
 )
 NOT_THE_PAPER = (

@@ -237,8 +237,8 @@ def plan(
       start_xy_m, goal_xy_m: easting, northing in the maps' CRS (and altitude), instead of ``start`` and ``goal``.
       weights: numbers by name, such as ``{"gps": 2.0}``: how much the distance (per metre) and each metric count.
       objective, cost_model, time, time_of_day, constraints, preset: which map, as in `cost_map`.
-      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` (the default), ``"bitstar-dist"``, ``"bitstar-plus"`` or
-        ``"theta-star"``; between levels ``"astar-volume"``.
+      planner: ``"ptp"``, ``"astar"`` (the default), ``"bitstar-dist"``, ``"bitstar-plus"``, ``"theta-star"``, or the
+        paper's ``"astar-dist"`` and ``"astar-plus"``; between levels ``"astar-volume"``.
       heuristic: of the planner; left out, its own.
       backend: ``"numba"``, ``"jax"`` for A* and BIT* in JAX, or ``"auto"``, which is Numba here;
         ``path.search.backend`` says what ran.

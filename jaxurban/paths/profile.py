@@ -383,7 +383,7 @@ def _unknown_heights(profile: pd.DataFrame) -> Iterator[Caution]:
     of_kind = ", ".join(f"{kind} {m:.0f} m" for kind, m in length_m.groupby(kinds).sum().items())
     yield Caution(
         f"Unknown heights: on {length_m.sum():.0f} of {profile['to_m'].iloc[-1]:.0f} m of the route what stands below "
-        f'may reach the flight ({of_kind}); with unknown_heights = "highest" (--unknown-heights highest) a route '
+        f'may reach the flight ({of_kind}); with unknown_heights = "highest" (--rules) a route '
         "stays above all that it may reach.",
         "limit",
         "unknown heights",

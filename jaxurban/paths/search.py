@@ -15,7 +15,7 @@ class PathSearch:
     """How a path is searched for: what does not change the map.
 
     Attributes:
-      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
+      planner: ``"ptp"``, ``"astar"``, ``"theta-star"`` ...
       heuristic: None: the planner's own.
       budget_s: seconds that the search may take.
       seed: for sampling planners.
@@ -64,7 +64,7 @@ class PathSearch:
         Args:
           planning: of the maps' scenario, with its planner, budget and seed; left out, the defaults.
           is_for_volumes: whether the path may climb; then the scenario gives only the budget.
-          planner: left out and not in the scenario, ``"astar-plus"``, between levels ``"astar-volume"``.
+          planner: left out and not in the scenario, ``"astar"``, between levels ``"astar-volume"``.
           heuristic, budget_s, seed, snap, on_ground, refine, exposure, backend: the attributes; None: left out.
 
         Raises:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 # What an end is that is free at the altitude of flight, and not down to the ground.
 OVER_ROOF = "over a roof, or what else closes the way up from the ground"
+BELOW_FLOOR = f"where the GPS floor is above the ground, {OVER_ROOF}"
 
 
 def places_near(
@@ -75,13 +76,12 @@ def places_near(
     cells, away_m = within(-1.0 if limit_m is None else min(limit_m, everywhere_m))
     if away_m.size == 0 and not own:
         cells, away_m = within(everywhere_m)
-        why = OVER_ROOF
+        why = BELOW_FLOOR if cost_map.constraints.above_gps_floor else OVER_ROOF
         if not cost_map.levels_free[level][cell]:
             why = cost_map.why_closed(cell, level)
         if away_m.size == 0:
-            raise InputError(
-                f"{name} is {why}, and no cell is free at this altitude: {cost_map.remedy}"
-            )
+            where = "from the ground up" if on_ground else "at this altitude"
+            raise InputError(f"{name} is {why}, and no cell is free {where}: {cost_map.remedy}")
         lon, lat = grid.lonlat_of_cell(*cells[0])
         over = " over the ground" if on_ground else ""
         too_far = "" if limit_m is None else f", farther than it may be moved ({limit_m:g} m)"

@@ -1,18 +1,14 @@
 """report.md of a comparison of maps, with its table, difference maps and figures, all on one scale around zero."""
 
 from functools import partial
-from itertools import compress
-from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
-from jaxurban.checks import one_of
-from jaxurban.io.geotiff import write_bands
-from jaxurban.io.stored import short_number
 from jaxurban.maps.provenance import NOT_SET
+from jaxurban.metrics.base import TIME
 from jaxurban.report.figures.frame import (
     OBSTACLE_COLOUR,
     DrawnMap,
@@ -32,9 +28,9 @@ from jaxurban.report.write import (
     Figures,
     Markdown,
     Written,
-    bullets,
     code,
     fill,
+    first_lines,
     framed,
     joined_with_and,
     paragraphs,
@@ -42,8 +38,7 @@ from jaxurban.report.write import (
     study_outputs,
     table,
 )
-from jaxurban.studies.map_comparison import CLOSED, MASKS, MapComparison, unit_of
-from jaxurban.studies.queries import population_norms
+from jaxurban.studies.map_comparison import CLOSED, SAME, STATISTICS, MapComparison, unit_of
 
 
 def comparison_figures(result: MapComparison) -> Figures:
@@ -61,91 +56,66 @@ def heading_of(result: MapComparison, layer: str) -> str:
     return metric.label if metric else str(result.a.ds[layer].attrs.get("long_name", layer))
 
 
-def plot_difference(result: MapComparison, layer: str, *, time: str | None = None) -> Figure:
-    """Return panels of B - A of a layer by altitude or time of day, all on one scale centred at 0.
+def plot_difference(result: MapComparison, layer: str) -> Figure:
+    """Return panels of B - A of a layer by altitude or time of day, at the first time, on one scale centred at 0.
 
-    Cells that are blocked in either are grey, of ``obstacle`` and ``closed`` those that are blocked in both; colours
-    reach as far as 99 % of the changed cells.
+    Cells that are blocked in either are grey; colours reach as far as 99 % of the changed cells.
 
     Args:
       result: the comparison.
       layer: one of its layers.
-      time: one of A's times; the first if left out.
 
     Raises:
-      InputError: a layer or a time that is not compared.
+      InputError: a layer that is not compared.
     """
-    # The differences of the layer at the time, with their rows of the table, which has one per place in this order.
-    places = result.places(one_of("layer", layer, result.layers))
-    times = list(dict.fromkeys(place.time for place in places))
-    time = times[0] if time is None else one_of("time", time, times)
-    is_drawn = [place.time == time for place in places]
-    rows: Any = result.table[result.table.layer == layer][is_drawn].itertuples()
-    places = list(compress(places, is_drawn))
-    differences = [result.of(layer, **place._asdict()) for place in places]
+    change = result.difference(layer)
+    rows = result.table[result.table.layer == layer]
+    time = None
+    if TIME in change.dims:
+        time = rows.time.iloc[0]
+        change = change.isel({TIME: 0})
+        rows = rows[rows.time == time]
 
     # One scale for all panels, by the sizes of the changes.
-    sizes = np.abs(np.concatenate(differences, axis=None))
-    colours = difference_colours(sizes[sizes > result.tolerance], _label(result, layer))
+    sizes = np.abs(change.values)
+    unit = unit_of(result.a, layer)
+    name = layer if unit == "1" else f"{layer} [{unit}]"
+    label = f"{name}, B - A (red: B is higher)"
+    if layer in result.a.metrics:
+        meaning = meaning_of(result.a, layer)
+        label = f"{symbol_of(layer)}, B - A (red: B is higher)\n(m of 1: {meaning})"
+    colours = difference_colours(sizes[sizes > SAME], label)
 
     # A panel for each map: the differences, cut off at the ends of the scale, and blocked cells over them.
     has_data = result.a.ds["has_data"].values & result.b.ds["has_data"].values
     panels = []
-    for place, row, values in zip(places, rows, differences, strict=True):
-        where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
+    maps = change.values.reshape(-1, *result.grid.shape)
+    for values, row in zip(maps, rows.to_dict("records"), strict=True):
+        where = f"{row['altitude_m']:g} m" if row["altitude_m"] >= 0 else row["time_of_day"]
+        where = "" if pd.isna(where) else where
+        text = f"mean {row['mean']:+.3g}, {precise_percent(row['share_changed'])} changed"
+        shown = DrawnMap(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours)
+        blocked = flat_layer(np.isnan(values) & has_data, OBSTACLE_COLOUR)
+        panels.append(MapPanel(joined(where, text), [shown, blocked]))
 
-        # [Y, X] the cells that are shown as blocked: they have data in both maps and no difference; of a mask (`MASKS`)
-        # at an altitude they are blocked in both.
-        is_grey = np.isnan(values)
-        if layer in MASKS and place.altitude_m is not None:
-            is_free = result.a.is_free(place.altitude_m, None if layer == CLOSED else "centre")
-            is_grey = ~is_free & (values == 0)
-        layers = [
-            DrawnMap(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours),
-            flat_layer(is_grey & has_data, OBSTACLE_COLOUR),
-        ]
-        text = "unchanged"
-        if row.share_changed:
-            text = f"mean {row.mean:+.3g}, {precise_percent(row.share_changed)} changed"
-        panels.append(MapPanel(joined(where, text), layers))
-
-    # What the picture says.
-    blocked = "blocked in A and B" if layer in MASKS else "blocked in A or B"
-    legend = [(blocked, OBSTACLE_COLOUR)]
-    heading = f"{heading_of(result, layer)}, B - A"
-    note = _note(result, time)
-    return draw_maps(result.grid, panels, heading, note, legend=legend, colours=colours)[0]
-
-
-def _label(result: MapComparison, layer: str) -> str:
-    """Return the label of a difference's colour bar: layer, unit, which map is the higher one, and what 1 means."""
-    unit = unit_of(result.a, layer)
-    in_unit = "" if unit == "1" else f" [{unit}]"
-    change = "B - A (red: B is higher)"
-    if layer not in result.a.metrics:
-        return f"{layer}{in_unit}, {change}"
-    label = f"{symbol_of(layer)}{in_unit}, {change}"
-    meaning = meaning_of(result.a, layer)
-    return f"{label}\n(m of 1: {meaning})" if meaning else label
-
-
-def _note(result: MapComparison, time: str | None) -> str:
-    """Return the lines below a picture of differences: the name of both maps, their times and what they guess.
-
-    Args:
-      result: the comparison.
-      time: A's time of the layer that is drawn; None for a layer without times, whose note names no guesses of the sky.
-    """
+    # What the picture says: the name of both maps, their times, and what they guess.
     lines = []
-    for side, name, maps in zip("AB", result.names, (result.a, result.b), strict=True):
-        facts = [joined(side, name if name != side else "", by=": ")]
-        if time:
-            facts.append(time_said(time if side == "A" else result.times[time]))
-        guesses = guesses_said(maps, time is not None)
-        if guesses:
-            facts.append(f"guessed: {guesses}")
-        lines.append(joined(*facts))
-    return "\n".join([*lines, joined(*ground_said(result.grid, result.a.attribution))])
+    times = (time, result.times.get(time or ""))
+    for side, name, maps_of, at in zip(
+        "AB", result.names, (result.a, result.b), times, strict=True
+    ):
+        guesses = guesses_said(maps_of, time is not None)
+        said = (at and time_said(at), guesses and f"guessed: {guesses}")
+        lines.append(joined(side if name == side else f"{side}: {name}", *said))
+    ground = joined(*ground_said(result.grid, result.a.attribution))
+    return draw_maps(
+        result.grid,
+        panels,
+        f"{heading_of(result, layer)}, B - A",
+        "\n".join([*lines, ground]),
+        legend=[("blocked in A or B", OBSTACLE_COLOUR)],
+        colours=colours,
+    )[0]
 
 
 def comparison_outputs(result: MapComparison) -> Written:
@@ -157,51 +127,16 @@ def comparison_outputs(result: MapComparison) -> Written:
         "maps": list(result.names),
         "of": [result.a.identity, result.b.identity],
         "times": dict(result.times),
-        "tolerance": result.tolerance,
         "values": crc32(result.table.to_csv().encode()),  # maps in memory have no name of their own
     }
     figures = comparison_figures(result)
-    size = short_number(result.grid.resolution_m)
-    outputs = {
-        f"difference/{layer}_{size}m.tif": partial(_write_difference, result, layer)
-        for layer in result.layers
-    }
     report = comparison_markdown(result, list(figures))
     tables = {"layers": result.table}
     if len(result.routes):
-        tables |= {"routes": result.routes, "regrets": result.regrets}
+        tables["routes"] = result.routes
         key |= {"routes": result.routes["pair"].nunique(), "seed": result.seed}
         key["values_of_routes"] = crc32(result.routes.to_csv().encode())
-    return outputs | study_outputs(report, tables, figures), key
-
-
-def _write_difference(result: MapComparison, layer: str, file: Path) -> Path:
-    """Write a layer's differences as a GeoTIFF, a band for each altitude, time and time of day; return the file.
-
-    A layer without any of these has one band, named ``B - A``.
-
-    Args:
-      result: the comparison.
-      layer: one of its layers.
-      file: the GeoTIFF.
-    """
-    # The differences ``[Y, X]`` of each band, by its name.
-    bands = {}
-    for place in result.places(layer):
-        altitude = None if place.altitude_m is None else f"{place.altitude_m:g} m"
-        name = joined(altitude, place.time, place.time_of_day, by=" ") or "B - A"
-        bands[name] = result.of(layer, **place._asdict())
-
-    # What the file says of itself.
-    tags = {
-        "layer": layer,
-        "difference": "B - A",
-        "maps_a": result.names[0],
-        "maps_b": result.names[1],
-    }
-    if result.a.attribution:
-        tags["attribution"] = result.a.attribution
-    return write_bands(file, result.grid, bands, unit_of(result.a, layer), tags)
+    return study_outputs(report, tables, figures), key
 
 
 def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
@@ -213,60 +148,45 @@ def comparison_markdown(result: MapComparison, figures: list[str]) -> str:
     changed = rows[is_first & ~rows.layer.isin(same)].drop(columns="time").astype(object)
     values = "Not one value differs."
     if len(changed):
-        values = framed(changed.where(changed.notna(), ""))
+        is_dust = changed[STATISTICS].abs() <= SAME  # below the precision of a map
+        changed[STATISTICS] = changed[STATISTICS].mask(is_dust, 0)
+        changed["share_changed"] *= 100
+        shown = changed.rename(columns={"share_changed": "changed (%)"})
+        values = framed(shown.where(shown.notna(), ""))
 
     pictures = [
         Markdown(f"![{plain(heading_of(result, name))}, B - A](figures/{plain(name)}.png)")
         for name in figures
     ]
     facts = result.a.facts
-    left_out = bullets(f"{name}: {why}" for name, why in result.left_out.items())
+    routes = result.routes
+    if len(routes):
+        columns = ["length_m", "regret", "is_closed", "closed_m", "apart_m"]
+        shown = routes.assign(regret=100 * routes.regret, is_closed=100 * routes.is_closed)
+        routes = shown.groupby("altitude_m")[columns].mean().reset_index()
+        routes = routes.rename(columns={"regret": "regret (%)", "is_closed": "closed (%)"})
     return fill(
         "compare",
-        {"regrets": result.regrets},
+        {"routes": routes},
         credits=[result.a.attribution, result.b.attribution],
         result=result,
+        same=SAME,
+        lines=first_lines(result.decided.facts),
         extent=f"Compared are {facts['grid']} ({facts['CRS']}) at {facts['altitudes']}.",
         settings=_settings(result),
         values=values,
         unchanged=f"The same in both: {joined_with_and(same)}." if same else "",
-        left_out=paragraphs("Not compared:", left_out) if left_out else "",
+        left_out=f"Not compared: {joined_with_and(result.left_out)}." if result.left_out else "",
         pictures=paragraphs(*pictures) or "None: a layer is drawn where it differs.",
     )
 
 
 def _settings(result: MapComparison) -> str:
-    """Return the section of a report on what the maps were made with, as Markdown.
-
-    A table of A's and B's settings that differ, GPS times that differ, and what population is divided by where that
-    differs; or a sentence where the settings are not known, or are the same.
-    """
-    # Rows of a name, A's value and B's value: settings, times of GPS, and what population is divided by.
-    rows: list[tuple[str, Any, Any]] = [
-        (code(key), of_a, of_b) for key, (of_a, of_b) in (result.settings or {}).items()
-    ]
-    for of_a, of_b in result.times.items():
-        if of_a != of_b:
-            rows.append(("time of GPS", of_a, of_b))
-    norms_a = population_norms(result.a)
-    norms_b = population_norms(result.b)
-    for day, norm_a in norms_a.items():
-        norm_b = norms_b.get(day, norm_a)  # the same where B does not hold this time of day
-        if "population" in result.layers and norm_a != norm_b:
-            rows.append((f"population is divided by, {day}", f"{norm_a:,.0f}", f"{norm_b:,.0f}"))
-
-    parts = []
+    """Return a table of the settings that differ, or a sentence, as Markdown."""
     if result.settings is None:
-        parts.append(
-            "Not both sets were made by `jaxurban maps`, so that their settings are not known."
-        )
-    elif not result.settings:
-        parts.append("No setting differs.")
-    if rows:
-        texts = [(name, _value_text(of_a), _value_text(of_b)) for name, of_a, of_b in rows]
-        parts.append(table(("", "A", "B"), texts))
-    return paragraphs(*parts)
-
-
-def _value_text(value: Any) -> str:
-    return NOT_SET if value is None else code(value)
+        return "Not both sets were made by `jaxurban maps`, so that their settings are not known."
+    rows = [
+        (code(key), *(NOT_SET if value is None else code(value) for value in pair))
+        for key, pair in result.settings.items()
+    ]
+    return table(("", "A", "B"), rows) if rows else "No setting differs."

@@ -1,16 +1,26 @@
 """report.md of a Monte Carlo benchmark of planners, with its tables and figures."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import pandas as pd
+from matplotlib.figure import Figure
 
+from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
 from jaxurban.report.figures.montecarlo import study_figures
-from jaxurban.report.sensitivity_study import weights_said
-from jaxurban.report.write import Written, fill, joined_with_and, study_outputs
+from jaxurban.report.figures.paths import plot_paths
+from jaxurban.report.sensitivity import weights_said
+from jaxurban.report.write import Written, fill, first_lines, joined_with_and, study_outputs
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.studies.decided import FEWEST_RUNS
 from jaxurban.studies.montecarlo import analysis
+from jaxurban.studies.montecarlo.sampling import KEY, query_columns
 from jaxurban.studies.montecarlo.study import BenchmarkResult
+
+# The column of each table that counts runs.
+COUNTS = {"success": "joined", "times": "runs", "objectives": "pairs"}
+NUM_DRAWN = 4  # routes of a picture
 
 
 def benchmark_outputs(result: BenchmarkResult) -> Written:
@@ -20,9 +30,33 @@ def benchmark_outputs(result: BenchmarkResult) -> Written:
     """
     tables = tables_of(result)
     figures = study_figures(result.maps, result.table, tables)
+    best = analysis.best_rows(result.table)
+    if (best.at_edge == 1).any():
+        figures["border"] = partial(border_figure, result, best[best.at_edge == 1])
     report = report_markdown(result, tables, list(figures))
     files = {f"{name}.csv": table for name, table in tables.items()}
     return study_outputs(report, files, figures), {}
+
+
+def border_figure(result: BenchmarkResult, pinned: pd.DataFrame) -> Figure:
+    """Return the cheapest grid routes of the first `NUM_DRAWN` pairs of places at the lowest altitude.
+
+    Args:
+      result: of the study.
+      pinned: rows whose paths come near the border.
+    """
+    drawn = pinned[pinned.altitude_m == pinned.altitude_m.min()].head(NUM_DRAWN)
+    rules = result.settings
+    names = ["altitude_m", *query_columns(result.instances.columns)]
+    queries = result.instances.merge(drawn[KEY])[names]
+    paths = plan_many(
+        result.maps,
+        queries.drop(columns="crs"),
+        cost_model=rules.cost_model,
+        constraints=rules.constraints,
+        progress=False,
+    )
+    return plot_paths(result.maps, paths, names=[f"instance {each}" for each in drawn.instance])
 
 
 def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
@@ -32,14 +66,14 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
     """
     table = result.table
     tables = {
-        "choices": analysis.choices(table),
         "success": analysis.success(table),
-        "costs": analysis.costs(table),
-        "paired": analysis.paired(table),
         "times": analysis.times(table),
-        "usage": analysis.usage(table),
         "objectives": analysis.objectives(table),
     }
+    for ranking in analysis.rankings(table).values():
+        for name, part in (("ranks", ranking.table), ("pairs", ranking.pairs)):
+            part = part.assign(measure=ranking.measure)
+            tables[name] = pd.concat([tables[name], part]) if name in tables else part
     if set(analysis.SENSORS) <= set(result.maps.metrics):
         altitudes_m = sorted(table.altitude_m.unique())
         complementarity = analysis.complementarity(result.maps, altitudes_m=altitudes_m)
@@ -57,12 +91,11 @@ def report_markdown(
       tables: from `tables_of`.
       figures: names of the pictures that lie beside the report.
     """
-    # The shares of joined pairs that were solved: a row per planner and range, a column per altitude.
-    success = tables["success"]
-    solved = success.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
-    names = sorted(success.planner.unique()), analysis.range_names(success)
-    solved = solved.reindex(pd.MultiIndex.from_product(names, names=solved.index.names))
-    solved = solved.rename(columns=lambda z: f"{z:g} m").reset_index()
+    # What has enough runs.
+    shown = dict(tables)
+    for name, num in COUNTS.items():
+        if len(shown[name]):
+            shown[name] = shown[name].query(f"{num} >= {FEWEST_RUNS}")
 
     # The share of pairs of places that some path joins, by altitude, and the budget of a run in words.
     table = result.table
@@ -75,7 +108,7 @@ def report_markdown(
         budget = f"{study.budget_s:g} s a run"
     return fill(
         "study",
-        {**tables, "success": solved},
+        shown,
         figures,
         [result.maps.attribution],
         num_instances=table.instance.nunique(),
@@ -91,5 +124,6 @@ def report_markdown(
         num_crashed=(table.status == CRASHED).sum(),
         num_odd=table.status.isin(["invalid", "bad-input"]).sum(),
         fewest=FEWEST_GROUPS,
-        analysis=analysis,
+        fewest_runs=FEWEST_RUNS,
+        lines=first_lines(result.decided.facts),
     )

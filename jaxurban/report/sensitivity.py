@@ -1,155 +1,307 @@
-"""report.md of a sensitivity study: what would change the route and what would not, as tables and figures."""
+"""report.md of a study of weights, of one route or of many: its tables and figures."""
 
-import json
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
-from jaxurban.paths.constraints import describe_constraints
-from jaxurban.planners.cost import CostModel
-from jaxurban.report.figures.frame import joined
-from jaxurban.report.figures.sensitivity import sensitivity_figures
-from jaxurban.report.write import Written, fill, joined_with_and, study_outputs
-from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
-from jaxurban.studies.weights.sobol import FEW_SAMPLES, NOISE
-from jaxurban.studies.weights.study import Sensitivity
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.queries import WEIGHT_PREFIX
+from jaxurban.paths.rows import HAS_PATH, RouteRules
+from jaxurban.public import FactsRepr
+from jaxurban.report.figures.sensitivity import many_figures, one_figures
+from jaxurban.report.write import (
+    REPORT_FILE,
+    Figures,
+    Markdown,
+    bullets,
+    files_of,
+    fill,
+    first_lines,
+    framed,
+    joined_with_and,
+    save,
+    study_outputs,
+)
+from jaxurban.studies.bootstrap import interval_columns
+from jaxurban.studies.decided import Conclusion, concluded
+from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
+from jaxurban.studies.queries import outcome_label, population_norms
+from jaxurban.studies.weights import summary
+from jaxurban.studies.weights.one_route import MORE, OneRoute
+from jaxurban.studies.weights.settings import SensitivitySettings
+from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES
+from jaxurban.studies.weights.verdicts import verdicts_of
 
-ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
-MORE = 1.1  # the change of a weight that the report speaks of: 10 %
-CLEAR = 2.0  # standard errors from 0
-TOP_BUILDINGS = 10
-RANKING = "rank", "per_metre", "height_m", "lon", "lat", "distance_m"
+TABLES = [
+    "routes",
+    "weights",
+    "summary",
+    "sobol",
+    "sobol_summary",
+    "changed",
+    "changed_summary",
+    "ways",
+    "switches",
+    "pareto",
+]
+FIGURES = ["regret", "nearest", "switches", "switch_routes", "pareto"]
+FILES = files_of(
+    [
+        *(f"tables/{name}" for name in TABLES),
+        *(f"figures/{name}.png" for name in FIGURES),
+        REPORT_FILE,
+    ]
+)
+SAMPLED = (
+    "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
+    "anyone flies: means are over such routes, not over traffic."
+)
+GIVEN = (
+    "The routes are those of the table that was given: "
+    "means are over them, each once, and say nothing about others."
+)
+MOST_REASONS = 3
+SHARES = [  # in tables, fractions; in the report, percent
+    "regret",
+    "changes",
+    "share",
+    "is_other",
+    "overlap",
+    "nominal_regret",
+    "nominal_is_closed",
+    "more_cost",
+]
+MORE_ROUTES = 30  # to ask for after one
 
 
-def sensitivity_outputs(result: Sensitivity) -> Written:
-    """Return what a study of one route writes, by file name, and the settings that identify it, as JSON holds them."""
-    route = result.route
-    settings = {
-        "route": route.settings,
-        "lonlat": route.lonlat[[0, -1]].tolist(),
-        "weights": result.weights.tolist(),
-        **asdict(result.settings),
-    }
-    tables = {name: table.reset_index() for name, table in result.tables().items()}
-    outputs = study_outputs(sensitivity_markdown(result), tables, sensitivity_figures(result))
-    return outputs, json.loads(json.dumps(settings, default=str))
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity(FactsRepr):
+    """What the weights do to one route, or to many.
 
+    Attributes:
+      folder: where the study is kept.
+      maps: of each city by its name.
+      instances: the routes asked for.
+      rows: what was found for each, a row per route: its status, cost and outcomes, and of each weight its share of the
+        cost, the nearest factors at which the route changes, and what a wrong weight costs.
+      skipped: why some other maps were not made, a sentence each.
+      settings: what was asked.
+      rules: cost model and constraints of all routes.
+      is_sampled: whether the routes were drawn, by stratum and range, or given.
+      changed: how each route differs on other maps: of other times, and of perturbed heights and other parameters where
+        they were asked for.
+      route: what only a study of one route has; None of several, and where no path joins its ends.
 
-def sensitivity_markdown(result: Sensitivity, buildings: pd.DataFrame | None = None) -> str:
-    """Return the report as Markdown; it names figures and tables as `sensitivity_outputs` does.
-
-    Args:
-      result: of the study.
-      buildings: what `jaxurban.report.buildings.write_buildings` wrote beside it: a row per building, the costliest
-        first, of which the report shows the first `TOP_BUILDINGS`; None: the report has no such table.
+    Examples:
+      >>> chosen = ju.studies.SensitivitySettings(vary=("gps",), num_samples=0)
+      >>> result = ju.studies.sensitivity(
+      ...     {"demo": maps}, "weights", 2, altitudes_m=[60.0], settings=chosen, progress=False
+      ... )
+      >>> list(result.tables), result.is_sampled
+      (['routes', 'weights', 'summary'], True)
     """
-    route = result.route
-    settings = route.settings
-    tables = report_tables(result)
-    if buildings is not None:
-        ranking = buildings.head(TOP_BUILDINGS).rename_axis("rank").reset_index()[[*RANKING]]
-        tables["ranking"] = ranking.round({"lon": 5, "lat": 5}).astype({"lon": str, "lat": str})
+
+    folder: Path
+    maps: Mapping[str, MetricMaps]
+    instances: pd.DataFrame
+    rows: pd.DataFrame
+    skipped: tuple[str, ...]
+    settings: SensitivitySettings
+    rules: RouteRules
+    is_sampled: bool = True
+    changed: pd.DataFrame = field(default_factory=pd.DataFrame)
+    route: OneRoute | None = None
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What it decided, the cities, how many routes there are, and how many have a path."""
+        num_paths = self.rows.status.isin(HAS_PATH).sum()
+        routes = f"{len(self.rows)}, {num_paths} with a path"
+        return {**self.decided.facts, "cities": ", ".join(self.maps), "routes": routes}
+
+    @cached_property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """All tables by name: ``routes``, and those that can be made of them.
+
+        Where any route was found ``weights`` and ``summary``; with Sobol shares ``sobol``, and with routes on other
+        maps ``changed``, each beside its summary (``sobol_summary`` and so on). Of one route ``ways``, where each
+        weight sends it another way, ``switches``, every route along the range of each weight, and ``pareto``.
+        """
+        routes = summary.routes_of(self.rows, self.instances)
+        result = {"routes": self.rows}
+        if routes.empty:
+            return result
+        result["weights"] = summary.weights_table(routes, self.settings.factors)
+        result["summary"] = summary.summarise(result["weights"], self.settings.wrong)
+        shares = summary.shares_table(routes)
+        if len(shares):
+            result["sobol"] = shares
+            num_samples = self.settings.num_samples or 0
+            result["sobol_summary"] = summary.summarise_shares(shares, num_samples)
+        if len(self.changed) and self.changed.status.isin(HAS_PATH).any():
+            result["changed"] = self.changed
+            result["changed_summary"] = summary.summarise_changed(self.changed)
+        if self.route is not None:
+            result["ways"] = self.route.ways
+            switches = [self.route.breakpoints(name) for name in self.route.lines]
+            result["switches"] = pd.concat(switches).reset_index()
+            result["pareto"] = self.route.front.points.reset_index()
+        return result
+
+    @cached_property
+    def decided(self) -> Conclusion:
+        """What is decided, what is not, and what to run next."""
+        verdicts = []
+        if "weights" in self.tables:
+            verdicts = verdicts_of(self.tables, self.route, self.settings)
+        folders = " ".join(str(maps.folder or "DIR") for maps in self.maps.values())
+        command = f"jaxurban sensitivity {folders} --routes"
+        others = f"{command} {MORE_ROUTES}"
+        if self.is_sampled:  # other routes than these
+            others += f" --study seed={self.settings.seed + 1}"
+        return concluded(
+            verdicts,
+            more=command + " {needed}",
+            done=others,
+            wider='jaxurban maps SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
+            factor=1 / len(self.maps),
+        )
+
+
+def write_sensitivity(result: Sensitivity) -> list[Path]:
+    """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into its folder and return the files."""
+    figures: Figures = {}
+    if result.route is not None:
+        figures = one_figures(result.route)
+    elif "weights" in result.tables:
+        figures = many_figures(result.tables, result.settings.wrong)
+    report = sensitivity_markdown(result, figures)
+    return save(result.folder, study_outputs(report, result.tables, figures))
+
+
+def sensitivity_markdown(result: Sensitivity, figures: Figures) -> str:
+    """Return the report as Markdown; it names figures and tables as `write_sensitivity` does."""
+    tables = result.tables
+
+    # Why routes were not found: the most frequent statuses, with their notes and the number of routes.
+    lost = result.rows[~result.rows.status.isin(HAS_PATH)].fillna({"note": ""})
+    reasons = lost.value_counts(["status", "note"]).head(MOST_REASONS).reset_index(name="routes")
+    small = summary.small_parts(tables["weights"]) if "weights" in tables else []
     return fill(
         "sensitivity",
-        tables,
-        sensitivity_figures(result),
-        [result.maps.attribution],
+        {"cities": _cities(result), **shown_tables(tables)},
+        figures,
+        [maps.attribution for maps in result.maps.values()],
+        decided=first_lines(result.decided.facts),
+        lost=framed(reasons) if len(reasons) else "",
+        skipped=bullets(f"Not planned on other maps: {reason}" for reason in result.skipped),
+        route=_route_said(result.route),
         result=result,
-        route=route,
-        start=route.lonlat[0],
-        goal=route.lonlat[-1],
-        where=joined(f"{route.altitude_m:g} m above ground", settings["time_of_day"]),
-        settings=settings,
-        limits=describe_constraints(settings["limits"]) or "none",
-        cost_model=CostModel.from_settings(settings),
-        note=" ".join(route.cautions),
-        objectives=joined_with_and(result.front.objectives),
-        ALIKE=ALIKE,
-        MORE=MORE - 1,
-        CLEAR=CLEAR,
-        FEW_SAMPLES=FEW_SAMPLES,
-        NOISE=NOISE,
+        constraints=str(result.rules.constraints) or "none",
+        weights=weights_said(result.instances),
+        origin=SAMPLED if result.is_sampled else GIVEN,
+        summary=summary,
+        small=joined_with_and(small) if small else "none",
     )
 
 
-def report_tables(result: Sensitivity) -> dict[str, pd.DataFrame]:
-    """Return the tables of the report by name.
+def _route_said(route: OneRoute | None) -> str:
+    """Return where a single route leads, what it costs and what its cautions are; nothing of several."""
+    if route is None:
+        return ""
+    path = route.path
+    ends = " to ".join("{:.5f},{:.5f}".format(*lonlat) for lonlat in path.lonlat[[0, -1]])
+    facts = f"{path.length_m:,.0f} m, cost {path.cost:,.1f}, {path.altitude_m:g} m above ground"
+    return f"The route from {ends} (longitude, latitude): {facts}. {' '.join(path.cautions)}"
 
-    ``outcomes``, ``indices`` and ``changes``: what the route is like, total Sobol shares, and what a larger weight
-    changes, a row per outcome (of ``changes`` per weight); ``costs``: the gradient of the cost; ``ends``: the routes
-    that are best for one objective; ``ranges``: where along each weight the route stays (see `ranges`).
+
+def _cities(result: Sensitivity) -> pd.DataFrame:
+    """Return a row per city: its maps, its altitudes, how many of its routes have a path, and norms of population."""
+    rows = []
+    for city, part in result.rows.groupby("city", sort=False):
+        maps = result.maps[str(city)]
+        norms = population_norms(maps).items()
+        norms_by_day = ", ".join(f"{number:,.0f} ({day})" for day, number in norms)
+        altitudes = ", ".join(f"{z:g} m" for z in sorted(part.altitude_m.unique()))
+        rows.append(
+            {
+                "city": city,
+                "maps": maps.facts["grid"],
+                "altitudes": altitudes,
+                "pairs of places": part.instance.nunique(),
+                "routes": len(part),
+                "found": part.status.isin(HAS_PATH).sum(),
+                "population is divided by": norms_by_day,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def in_percent(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose shares (`SHARES`), and their intervals, are in percent, which their names then say."""
+    result = table.copy()
+    for name in SHARES:
+        columns = [column for column in interval_columns(name) if column in table]
+        result[columns] *= 100
+        names = zip(interval_columns(name), interval_columns(f"{name} %"), strict=True)
+        result = result.rename(columns=dict(names))
+    return result
+
+
+def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+    """Return the tables of the report by name, made of those of the study; none where no route was found.
+
+    ``by_all`` (all routes, and each city) and ``where`` (further parts of the routes): statistics of each weight, of
+    each part the costliest wrong weight first. ``sobol``, ``changed`` and ``ways`` where the study has them.
     """
-    # By what share each outcome changes where a weight is `MORE` times as large, as slopes are by the logarithm of a
-    # weight; ``unclear`` where a slope is not clear of 0.
-    slopes = result.outcomes
-    size = slopes["expected"].abs().clip(lower=1e-12)
-    change = slopes["expected_slope"] * np.log(MORE) / size
-    is_clear = slopes["expected_slope"].abs() > CLEAR * slopes["expected_slope_se"]
-    changes = change.map("{:+.1%}".format).where(is_clear, "unclear").unstack()
+    if "summary" not in tables:
+        return {}
 
-    # The range of each outcome, and the total Sobol share of each varied weight with its interval, as text.
-    sobol = result.sobol
-    spread = sobol.groupby("outcome", sort=False)[["lowest", "highest"]].first()
-    totals = sobol["total"].map("{:.2f}".format) + sobol["total_ci"].map(" ± {:.2f}".format)
-    shares = totals.where(sobol["total"].notna(), "").unstack()
-
-    # Tables with a row per outcome, by the labels of the outcomes.
-    values = slopes["value"].groupby("outcome", sort=False).first()
-    units = [outcome_unit(str(name)) for name in values.index]
-    by_outcome = {
-        "outcomes": pd.DataFrame({"value": values, "unit": units}),
-        "indices": spread.join(shares[[*result.lines]]),
-        "changes": changes.loc[values.index, [*result.names]],
-    }
-    tables = {
-        name: table.rename(index=outcome_label).rename_axis("outcome")
-        for name, table in by_outcome.items()
+    # The statistics, in the order of the parts of the routes, and in each part by falling regret.
+    parts, _ = pd.factorize(tables["summary"].value)
+    by_regret = tables["summary"].assign(part=parts)
+    by_regret = by_regret.sort_values(["part", "regret"], ascending=[True, False])
+    by_regret = by_regret.rename(columns={"value": "of", "weight_name": "weight"})
+    is_whole = by_regret.cut.isin([ALL, OVER_CITIES, "city"])
+    is_part = by_regret.cut.isin(CUTS) & ~is_whole & (by_regret.weight != "distance")
+    statistics = interval_columns("regret", "changes", "nearest", "share")
+    paid = interval_columns(*MORE)
+    result = {
+        "by_all": by_regret.loc[is_whole, ["of", "weight", "routes", *statistics]],
+        "paid": by_regret.loc[is_whole & by_regret.regret.notna(), ["of", "weight", *paid]],
+        "where": by_regret.loc[is_part, ["of", "weight", "routes", *statistics]],
     }
 
-    # Tables with a row per weight, or per objective of the Pareto front.
-    tables["changes"] = tables["changes"].T.rename_axis(f"{MORE - 1:.0%} more of", axis=0)
-    tables["costs"] = result.cost
-    points = result.front.points[[*result.front.objectives]]
-    tables["ends"] = points.loc[points.idxmin().tolist()]
-    tables = {name: table.reset_index() for name, table in tables.items()}
+    if "sobol_summary" in tables:
+        # A share and its interval stand only where the share is clear of 0; where it is not resolved the samples that
+        # should do.
+        sobol = tables["sobol_summary"]
+        total = sobol[sobol.kind == "total"]
+        share = interval_columns("share")
+        shown = total[["outcome", "weight_name", *share, "verdict", "samples_needed"]].copy()
+        shown[share] = shown[share].where(total.verdict == CLEAR)
+        result["sobol"] = shown.assign(outcome=total.outcome.map(outcome_label))
+    if "changed_summary" in tables:
+        changed = tables["changed_summary"]
+        statistics = interval_columns("is_other", "overlap", "nominal_regret", "nominal_is_closed")
+        columns = ["change", "of", "routes", "draws", *statistics]
+        result["changed"] = changed.loc[changed.cut.isin([ALL, "city"]), columns]
+    if "ways" in tables:
+        ways = tables["ways"].rename(columns={"weight_name": "weight"})
+        result["ways"] = ways.assign(at_edge=ways.at_edge.map({0.0: "no", 1.0: "yes"}).fillna(""))
+    return {name: in_percent(table) for name, table in result.items()}
 
-    rows = [
-        {"weight": name, **ranges(result, name), "routes": len(line.cells)}
-        for name, line in result.lines.items()
-    ]
-    tables["ranges"] = pd.DataFrame(rows)
-    return tables
 
-
-def ranges(result: Sensitivity, name: str) -> dict[str, float]:
-    """Return where, along a weight's range, the route stays the same, and where much the same.
-
-    Args:
-      result: of the study.
-      name: of the weight.
-
-    Returns:
-      Values of the weight: between ``same_from`` and ``same_to`` the cheapest route is the given one; between
-      ``alike_from`` and ``alike_to`` no outcome differs from its by more than the share `ALIKE`.
-    """
-    # A row for each route along the range, with the values between which it is the cheapest.
-    table = result.breakpoints(name)
-
-    # Which routes differ from the given one in any outcome.
-    outcomes = table[list(outcome_names(result.names))]
-    given = table.index[table["is_given"]][0]
-    route = outcomes.loc[given]
-    change = (outcomes - route).abs() / route.abs().clip(lower=1e-9)
-    is_other = (change > ALIKE).any(axis=1)
-
-    # The routes around the given one, as far as the next one that is not alike on either side. There the number of such
-    # routes so far is the same as at the given route.
-    num_others = is_other.cumsum()
-    alike = table[~is_other & (num_others == num_others[given])]
-    return {
-        "same_from": table.loc[given, "from"],
-        "same_to": table.loc[given, "to"],
-        "alike_from": alike["from"].iloc[0],
-        "alike_to": alike["to"].iloc[-1],
-    }
+def weights_said(instances: pd.DataFrame) -> str:
+    """Return the weights that all instances share, by name; where they differ, words that say where they stand."""
+    columns = list(weight_columns(weighed_metrics(instances.columns)))
+    weights = instances[columns]
+    if len(weights.drop_duplicates()) > 1:
+        return Markdown("those of each route (`instances.parquet`)")
+    first = weights.iloc[0].items()
+    return ", ".join(
+        f"{str(name).removeprefix(WEIGHT_PREFIX)} {weight:g}" for name, weight in first
+    )

@@ -7,7 +7,6 @@ from itertools import chain, compress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
@@ -28,6 +27,7 @@ from jaxurban.report.write import (
     code,
     files_of,
     fill,
+    first_lines,
     paragraphs,
     save,
 )
@@ -42,14 +42,13 @@ from jaxurban.studies.queries import maps_of
 from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.study_demonstrations import demonstrations_from_study, study_in
 from jaxurban.studies.tuning.compared_fits import ALL, FitComparison, compare_fits
-from jaxurban.studies.tuning.target_fit import Target, TargetFit, fit_targets
+from jaxurban.studies.tuning.target import Target
+from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.parquet"
-TABLES = "learning_curve", "fits", "targets", "weights", "examples"
-EXPLAINED = 1e-4  # a demonstration within this share of the cheapest route is explained
+TABLES = "learning_curve", "fits", "targets", "tested", "weights", "examples"
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
-ONE_FIT: dict[str, Any] = {"hold_out": 0.0, "by_city": False}
 
 
 @dataclass(frozen=True)
@@ -134,13 +133,18 @@ def run_tuning(
             result = None
             settings_of_fit = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
             if targets:
+                before = settings.pilot or Weights()
+                queries = [each.query for each in demonstrations]
                 fit = fit_targets(
-                    [each.query for each in demonstrations], targets, settings=settings_of_fit
+                    queries, targets, before=before, **settings.fits, settings=settings_of_fit
                 )
+                demonstrations = optimal_demonstrations(queries, before)
+                conclusion = fit.decided
             else:
-                options = ONE_FIT | dict(settings.fits)
+                options = {"by_city": False, **settings.fits}
                 result = compare_fits(cities, **options, settings=settings_of_fit)
                 fit = result.fits[ALL]
+                conclusion = result.decided
                 demonstrations = list(compress(demonstrations, ~result.is_held_out))
 
             # The routes under the fitted weights, and all files. A single fit to all routes is compared with nothing.
@@ -151,11 +155,12 @@ def run_tuning(
             texts = {
                 "targets": ", ".join(map(str, targets)),
                 "sources": Markdown("; ".join(_origins(files_by_source, settings))),
+                "lines": first_lines(conclusion.facts),
             }
             if result is not None and len(result.fits) == 1 and not result.is_held_out.any():
                 result = None
             save(folder, outputs_of(fit, demonstrations, planned, texts, result))
-    facts = _facts(fit, folder)
+    facts = _facts(fit, folder) | {"decided": conclusion.to_dict()}
     return facts if result is None else facts | {"fits": records_of(result.table)}
 
 
@@ -313,9 +318,9 @@ def outputs_of(
 
     Args:
       fit: the fit of the weights, to routes or to targets.
-      demonstrations: ``N`` routes as they are given; at least one.
+      demonstrations: ``N`` routes, at least one: those that were fitted, or the routes without the wish.
       planned: ``N`` routes between the same ends under the fitted weights.
-      texts: for the report: ``sources`` of the routes, and ``targets``.
+      texts: for the report: its first ``lines``, ``sources`` of the routes, and ``targets``.
       result: further fits, which the fit is compared with, and routes that were held out; None: there are none.
     """
     # The maps by the names of their pictures, the weights [K], a table of the routes, and fields of the report.
@@ -334,17 +339,21 @@ def outputs_of(
         weights = fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
-        tables["regrets"] = _regrets(fit)
         fields |= {"fits": "", "cautions": bullets(fit.cautions)}
         if result is not None:
             outputs["fits"] = result.table
             fields["fits"] = fits_section(result)
     else:
         template = "targets"
-        noun = "given route"
+        noun = "usual route"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
         tables["outcomes"] = outputs["targets"] = fit.outcomes.join(alone).reset_index()
+        tables["tested"] = outputs["tested"] = fit.tested
+        num_tested = int(fit.is_held_out.sum())
+        fields |= {"tested": num_tested or len(demonstrations), "seen": "none"}
+        if not num_tested:
+            fields["seen"] = "all"
 
     # What every fit has: tables of its weights and of its routes, and a picture of the routes on each map.
     model = first.cost_model
@@ -395,22 +404,6 @@ def _pictures(demonstrations: Sequence[Demonstration]) -> dict[str, CostMap]:
     return {f"routes_{number}": each for number, each in enumerate(cost_maps, start=1)}
 
 
-def _regrets(fit: WeightFit) -> pd.DataFrame:
-    """Return statistics of the regrets in one row: by what share a route costs more than the cheapest one.
-
-    Costs are those under the fitted weights; ``explained`` counts routes whose regret is at most `EXPLAINED`.
-    """
-    regret = fit.regret
-    facts = {
-        "explained": (regret <= EXPLAINED).sum(),
-        "mean": regret.mean(),
-        "median": np.median(regret),
-        "largest": regret.max(),
-        "least mean found": fit.best_mean_regret,
-    }
-    return pd.DataFrame([facts])
-
-
 def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
     """Return a table of what routes were planned under: a row per map of the cost."""
     rows = [
@@ -429,18 +422,15 @@ def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
 
 
 def _means(routes: pd.DataFrame) -> pd.DataFrame:
-    """Return the means over routes of their length and of each metric along them, as given and under the weights."""
+    """Return the means over routes of their length and each metric, as demonstrated and under the weights."""
     planned = routes.filter(regex="^planned_").mean()
     planned.index = planned.index.str.removeprefix("planned_")
-    means = pd.DataFrame({"as given": routes[planned.index].mean(), "planned": planned})
+    means = pd.DataFrame({"demonstrated": routes[planned.index].mean(), "planned": planned})
     return means.rename_axis("mean over routes").reset_index()
 
 
 def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
-    """Return what ``--json`` says of a fit to routes or to targets, by name.
-
-    ``interval``: ends of the interval of each weight; None where no weight has one.
-    """
+    """Return what ``--json`` says of a fit to routes or to targets, by name."""
     facts = {
         "folder": str(folder),
         "message": fit.sentence,
@@ -450,13 +440,10 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "elapsed_s": fit.elapsed_s,
     }
     if isinstance(fit, WeightFit):
-        ends = fit.table[["low", "high"]]
         return facts | {
-            "interval": ends.T.to_dict("list") if ends.notna().any(axis=None) else None,
             "mean_regret": float(fit.regret.mean()),
             "best_mean_regret": fit.best_mean_regret,
             "is_settled": fit.is_settled,
-            "unidentified": list(fit.unidentified),
             "warnings": list(fit.warnings),
         }
     return facts | {
@@ -476,8 +463,8 @@ def weights_toml(fit: WeightFit | TargetFit, cost_map: CostMap) -> str:
     lines = [
         f"# {fit.sentence}",
         "# Weights fitted by `jaxurban tune`; report.md says how sure they are. Paste the table into a scenario.",
-        f"# They belong to the cost model {cost_map.cost_model.kind!r}{_where(cost_map)}: plan with",
-        f"#   --cost-model {cost_map.cost_model.kind} --weights {weights_option(fit.weights)}",
+        f"# They belong to the cost model {cost_map.cost_model.kind!r} {_where(cost_map)}: plan with",
+        f"#   --rules cost_model={cost_map.cost_model.kind} --weights {weights_option(fit.weights)}",
         "[weights]",
         *(f"{name} = {value:.6g}" for name, value in fit.weights.to_dict().items()),
     ]
@@ -488,5 +475,5 @@ def _where(cost_map: CostMap) -> str:
     """Return the end of a sentence on weights: on which cells, or with which reference length, they apply."""
     if cost_map.cost_model.kind == "cell":
         side = f"{cost_map.grid.resolution_m:g} m"
-        return f" on cells of {side} (a step costs by the cell, so other sizes need other ones)"
-    return f" with a reference length of {cost_map.cost_model.reference_length_m:g} m"
+        return f"on cells of {side} (a step costs by the cell, so other sizes need other ones)"
+    return f"with a reference length of {cost_map.cost_model.reference_length_m:g} m"

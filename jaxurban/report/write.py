@@ -20,6 +20,7 @@ from jaxurban.io.tables import SUFFIXES, write_table
 from jaxurban.paths.export.suffixes import PICTURES
 
 REPORT_FILE = "report.md"
+DUST = 1e-9  # what a sum of shares or metres leaves by rounding, which is no number
 DPI = 300  # of images, which the IEEE asks of colour
 NUM_COLOURS = 256  # of a PNG
 SAMPLED = 3  # its colours are chosen from every third row and column
@@ -208,11 +209,13 @@ def without_ends(frame: pd.DataFrame) -> list[Any]:
 
 
 def cell(value: Any) -> str:
-    """Return a value of a table: numbers that are not whole with three digits, nothing for no number."""
+    """Return a value of a table: numbers that are not whole with three digits, 0 for dust, nothing for no number."""
     if not isinstance(value, float):
         return value if isinstance(value, str) else str(value)
     if not math.isfinite(value):
         return ""
+    if abs(value) < DUST:
+        return "0"
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
@@ -236,6 +239,13 @@ def joined_with_and(items: Iterable[str]) -> str:
     """Return ``a``, ``a and b`` or ``a, b and c``."""
     *most, last = items
     return f"{', '.join(most)} and {last}" if most else last
+
+
+def first_lines(lines: Mapping[str, str]) -> Markdown:
+    """Return the lines of a study's conclusion (`Conclusion.facts`) as a list; the last of them is a command."""
+    *sentences, (head, command) = lines.items()
+    texts = [f"**{name.capitalize()}**: {plain(text)}" for name, text in sentences]
+    return bullets(map(Markdown, [*texts, f"**{head.capitalize()}**: {code(command)}"]))
 
 
 def bullets(lines: Iterable[str]) -> Markdown:

@@ -1,8 +1,8 @@
 from jaxurban.maps.scenario import Study as Study
 from jaxurban.paths.rows import MapsFolder as MapsFolder
 from jaxurban.report.buildings import write_buildings as write_buildings
-from jaxurban.report.run_sensitivity import sensitivity_study as sensitivity_study
-from jaxurban.report.sensitivity_study import SensitivityStudy as SensitivityStudy
+from jaxurban.report.run_sensitivity import sensitivity as sensitivity
+from jaxurban.report.sensitivity import Sensitivity as Sensitivity
 from jaxurban.studies.map_comparison import MapComparison as MapComparison
 from jaxurban.studies.map_comparison import compare as compare
 from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances
@@ -13,7 +13,5 @@ from jaxurban.studies.receiver.settings import ReceiverSettings as ReceiverSetti
 from jaxurban.studies.receiver.validate import ReceiverValidation as ReceiverValidation
 from jaxurban.studies.receiver.validate import validate as validate
 from jaxurban.studies.weights.buildings import building_costs as building_costs
-from jaxurban.studies.weights.routes import SensitivityStudySettings as SensitivityStudySettings
-from jaxurban.studies.weights.study import Sensitivity as Sensitivity
-from jaxurban.studies.weights.study import SensitivitySettings as SensitivitySettings
-from jaxurban.studies.weights.study import sensitivity as sensitivity
+from jaxurban.studies.weights.one_route import OneRoute as OneRoute
+from jaxurban.studies.weights.settings import SensitivitySettings as SensitivitySettings

@@ -297,7 +297,7 @@ def _cost_maps(
             if other != models[first]:
                 raise InputError(
                     f"{first} was planned under the cost model {models[first]} and {name} under {other}: fit them "
-                    "apart, or name one for all (--cost-model, cost_model=)"
+                    "apart, or name one for all (--rules cost_model=, cost_model=)"
                 )
         given["cost_model"] = models.get(first)
     maps, route_rules = RouteRules(**given).under(maps)
@@ -310,7 +310,7 @@ def _cost_maps(
         if before != now:
             warn(
                 f"{name} was planned under {before} and is fitted under {now}: give what it was planned under "
-                "(--cost-model, --no-fly, --require, --clearance, --vertical-clearance; cost_model=, constraints=)",
+                "(--rules, --no-fly, --require; cost_model=, constraints=)",
                 OtherSettingsWarning,
             )
             break

@@ -167,7 +167,7 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
     metrics = [", ".join(cost_map.weight_names) for cost_map in cost_maps]
     _check_same(metrics, "metrics: make all from the same kinds of sources")
     models = [cost_map.cost_model for cost_map in cost_maps]
-    _check_same(models, "cost models: name one for all (--cost-model, cost_model=)")
+    _check_same(models, "cost models: name one for all (--rules cost_model=, cost_model=)")
     if models[0].kind == "cell":
         sides = [f"{cost_map.grid.resolution_m:g} m" for cost_map in cost_maps]
         _check_same(

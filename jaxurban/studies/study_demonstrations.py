@@ -43,7 +43,7 @@ from jaxurban.studies.montecarlo.sampling import (
 from jaxurban.studies.montecarlo.study import BenchmarkResult
 from jaxurban.studies.montecarlo.trial import WEIGHTED, Benchmark, draws_samples, ends_and_weights
 
-EXACT = "astar-plus"  # plans the routes of tables
+EXACT = "astar"  # plans the routes of tables
 ALIKE = 1e-9  # relative: weights of rows, scaled to sum 1, that are one W
 STARTS = {"start_lon", "start_x_m"}  # one of them is a column of every table of routes
 OF_ROW = ("status", "cost", "num_samples")  # what a study says of a route
@@ -142,8 +142,8 @@ def demonstrations_from_study(
         if name != "budget" and before != value:
             raise InputError(
                 f"the study in {source.name!r} was run on other maps or settings than those given: its {name} is "
-                f"{before}, here {value}: give its own (DIR, --resolution, --obstacles, --cost-model, --preset, "
-                "--no-fly, --require, --clearance, --vertical-clearance; maps=, cost_model=, constraints=, preset=)"
+                f"{before}, here {value}: give its own (DIR, --resolution, --preset, --rules, --no-fly, "
+                "--require; maps=, cost_model=, constraints=, preset=)"
             )
     check_instances(source.table, maps)
 

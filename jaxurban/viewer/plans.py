@@ -3,10 +3,11 @@
 import json
 import shlex
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path as FilePath
-from typing import cast
+from typing import Any, cast
 
 from jaxurban.checks import one_of, values_given
 from jaxurban.errors import InputError
@@ -168,8 +169,18 @@ class Plans:
         if not self.folder:
             return ""
 
+        # The values of options with several, and the value of each option, None for one that is left out; the text of a
+        # number gives the same number again.
         limits = self._constraints(query)
-        # The value of each option, None for one that is left out; the text of a number gives the same number again.
+        search = {"planner": query.planner, "budget_s": _budget_s(query.planner), "seed": 0}
+        rules = {
+            "cost_model": query.cost_model,
+            "obstacles": query.obstacles,
+            "clearance_m": limits.clearance_m,
+            "vertical_clearance_m": limits.vertical_clearance_m,
+            "unknown_heights": limits.unknown_heights,
+        }
+        flight = {"speed_m_s": query.speed_m_s, "power_w": query.power_w}
         values = {
             "--resolution": self.maps.grid.resolution_m,
             "--start": ",".join(map(str, query.start)),
@@ -177,19 +188,12 @@ class Plans:
             "--altitude": at.altitude_m,
             "--time": at.time,
             "--time-of-day": at.time_of_day,
-            "--weights": ",".join(f"{name}={value}" for name, value in query.weights.items()),
-            "--planner": query.planner,
+            "--weights": _named(query.weights),
+            "--planner": _named(search),
             "--objective": "weighted",
-            "--budget": _budget_s(query.planner),
-            "--seed": 0,
-            "--cost-model": query.cost_model,
-            "--obstacles": query.obstacles,
-            "--clearance": limits.clearance_m,
-            "--vertical-clearance": limits.vertical_clearance_m,
-            "--unknown-heights": limits.unknown_heights,
+            "--rules": _named(rules),
             "--no-fly": ZONES_FILE if query.zones else None,
-            "--speed": query.speed_m_s,
-            "--power": query.power_w,
+            "--report": _named(flight) or None,
         }
         words = ["jaxurban", "plan", self.folder]
         for option, value in values.items():
@@ -271,3 +275,8 @@ def _route_key(query: Plan) -> str:
 def _budget_s(planner: str) -> float:
     """Return the seconds that a planner may take."""
     return SAMPLING_BUDGET_S if planner.startswith("bitstar") else DEFAULTS.budget_s
+
+
+def _named(values: Mapping[str, Any]) -> str:
+    """Return values as an option takes them, ``NAME=VALUE,...``, without those that are None."""
+    return ",".join(f"{name}={value}" for name, value in values_given(values).items())

@@ -31,14 +31,14 @@ from jaxurban.paths.profile import cautious_profile, without_fix
 from jaxurban.paths.return_altitude import NAME, return_altitude
 from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.planners.base import Status
-from jaxurban.planners.registry import PLANNERS
+from jaxurban.planners.registry import BY_METHOD, PLANNERS
 from jaxurban.progress import LOG
 from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.metrics import group_numbers, line_colour
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.satellites.along import sky_from
 from jaxurban.satellites.sight import Sight
-from jaxurban.settings import CLEARANCES, Preset, Vehicle
+from jaxurban.settings import CLEARANCES, DEFAULTS, Preset, Vehicle
 from jaxurban.viewer import markup
 from jaxurban.viewer.base import base_of
 from jaxurban.viewer.layers import (
@@ -280,7 +280,7 @@ class Viewer:
         headings = [
             (name, layer.variable.heading, layer.group) for name, layer in self.layers.items()
         ]
-        summaries = {name: entry.summary for name, entry in PLANNERS.items()}
+        summaries = {name: PLANNERS[name].summary for name in BY_METHOD}
         lists = {
             "altitude": options([f"{z_m:g} m" for z_m in maps.altitudes_m]),
             "time_of_day": options(maps.times_of_day),
@@ -294,7 +294,7 @@ class Viewer:
             "credit": escape(maps.attribution),
             "groups": markup.group_boxes(groups if any(groups) else ()),
             "sliders": markup.sliders(self._labels, self._colours),
-            "planners": markup.planners(summaries, PLANNER_LINES, "astar-plus"),
+            "planners": markup.planners(summaries, PLANNER_LINES, DEFAULTS.planner),
             "formats": markup.save_buttons(of_waypoints=False),
             "formats-of-waypoints": markup.save_buttons(of_waypoints=True),
             **lists,

@@ -249,8 +249,8 @@ def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_p
         [*route, "--profile", "route.xyz"],
         [*route, "--require", "gps"],
         [*route, "--no-fly", str(wrong)],
-        [*route, "--clearance=-1"],
-        [*route, "--end", "land"],
+        [*route, "--rules=clearance_m=-1"],
+        [*route, "--mission", "land"],
         [*route, "--altitude=600"],
         [*route, "--time", "noon"],
         [*route, "--time", "2020-04-27T17:00"],
@@ -259,8 +259,8 @@ def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_p
         [*route, "--when", "--refine"],
         ["check", str(made), str(wrong)],
         ["compare", str(made), str(made), "-o", str(made)],
-        ["sensitivity-study", str(made), "--queries", str(wrong), "--routes=3"],
-        ["tune", str(made), "-o", "new", "--wish", "gps>=1", "--by-city"],
+        ["sensitivity", str(made), ends[0], "--routes=3"],
+        ["tune", str(made), "-o", "new", "--wish", "gps>=1", "--fit", "by_city=true"],
     ]
     runs = "".join(
         f"\ntry: main({line})\nexcept SystemExit as e: assert e.code == 2" for line in lines
@@ -274,7 +274,7 @@ def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_p
     [
         ("--planner=dijkstra", {"numba", "scipy"}),
         ("--planner=astar-volume", {"numba", "scipy"}),
-        ("--heuristic=near", {"numba", "scipy"}),
+        ("--planner=heuristic=near", {"numba", "scipy"}),
         ("--weights=noise=1", {"jax"}),
         ("--weights=gps=-1", {"jax"}),
         ("--weights=gps_vertical=1", {"jax"}),
@@ -288,7 +288,10 @@ def test_wrong_names_and_weights_are_answered_before_maps_are_opened(made, capsy
     assert set(heavy) <= {"numpy", "pyproj", "shapely"} | allowed
 
     # What is said is what the same words of Python say.
-    name, _, text = option.removeprefix("--").partition("=")
+    name, _, text = option.removeprefix("--planner=").removeprefix("--").rpartition("=")
+    name = name or "planner"
+    if option.startswith("--weights="):
+        name, text = "weights", option.removeprefix("--weights=")
     value = ju.Weights.named_in(text) if name == "weights" else text
     start, goal = ([float(x) for x in end.partition("=")[2].split(",")] for end in ENDS)
     with pytest.raises(ju.InputError) as refused:

@@ -23,7 +23,7 @@ COMMANDS = cli.app.commands
 WITH_JSON = [name for name in COMMANDS if name != "view"]
 ROUTE = (*ENDS, "--altitude", 60, "--snap")
 TWO_TIMES = 'gps.times=["2020-04-27T00:00:00Z", "2020-04-27T06:00:00Z"]'
-FEW = ("--samples", 2, "--vary", "gps", "--workers", 1)
+FEW = ("--study", "num_samples=2", "--vary", "gps", "--workers", 1)
 
 
 def codes_of(command: str) -> set[int]:
@@ -95,10 +95,10 @@ def test_a_fault_and_an_interrupt_are_objects_too(name, capsys, monkeypatch):
         ("maps town.toml -o out --workers 2 --cluster here", "--workers"),
         ("maps town.toml -o out --set gps.mask_deg=95", "gps.mask_deg"),
         ("maps town.toml -o out --set gps.mask_deg", "--set"),
-        ("sensitivity maps {route} --samples 3", "--samples"),
+        ("sensitivity maps {route} --study num_samples=3", "--study"),
         ("sensitivity maps {route} --range 2,3", "--range"),
-        ("plan maps {route} --end land", "--end"),
-        ("plan maps {route} --level-step 5", "--level-step"),
+        ("plan maps {route} --mission land", "--mission"),
+        ("plan maps {route} --volume level=5", "--volume"),
     ],
 )
 def test_bad_input_names_the_option_at_fault(words, argument, made, capsys, monkeypatch):
@@ -170,20 +170,16 @@ def test_a_sensitivity_without_a_route_says_so_as_an_object(walled, capsys, tmp_
     assert code == ExitCode.NO_PATH
 
 
-@pytest.mark.parametrize("name", ["plan", "sensitivity"])
-def test_a_budget_that_is_spent_without_a_path_is_an_object(
-    name, made, capsys, monkeypatch, tmp_path
-):
-    plan_as_ever = CostMap.plan if name == "sensitivity" else CostMap.planned
+def test_a_budget_that_is_spent_without_a_path_is_an_object(made, capsys, monkeypatch):
+    plan_as_ever = CostMap.planned
 
     def without_time(*args, **kwargs):
         return replace(plan_as_ever(*args, **kwargs), status=Status.BUDGET_EMPTY)
 
-    monkeypatch.setattr(CostMap, plan_as_ever.__name__, without_time)
-    output = ("-o", tmp_path / "out") if name == "sensitivity" else ()
-    code, out, _ = run(capsys, name, made, *ROUTE, *output, "--json")
+    monkeypatch.setattr(CostMap, "planned", without_time)
+    code, out, _ = run(capsys, "plan", made, *ROUTE, "--json")
     assert code == ExitCode.UNKNOWN
-    assert check_json(out, code, name)["status"] == "budget-empty"
+    assert check_json(out, code, "plan")["status"] == "budget-empty"
 
 
 @pytest.mark.slow
@@ -213,10 +209,10 @@ def test_a_study_of_sensitivity_is_an_object(code, walled, made, tmp_path, capsy
     route = {"start_lon": lon, "start_lat": lat, "goal_lon": goal_lon, "goal_lat": goal_lat}
     altitude_m = 20 if code else 60
     pd.DataFrame([route | {"altitude_m": altitude_m}]).to_csv(tmp_path / "q.csv", index=False)
-    options = ("--queries", tmp_path / "q.csv", *FEW, "-o", tmp_path / "out", "--json")
-    ended, out, err = run(capsys, "sensitivity-study", folder, *options)
+    options = ("--routes", tmp_path / "q.csv", *FEW, "-o", tmp_path / "out", "--json")
+    ended, out, err = run(capsys, "sensitivity", folder, *options)
     assert ended == code, err
-    check_json(out, code, "sensitivity-study")
+    check_json(out, code, "sensitivity")
 
 
 @pytest.mark.slow
@@ -224,8 +220,8 @@ def test_a_study_of_sensitivity_is_an_object(code, walled, made, tmp_path, capsy
     ("more", "code"),
     [
         ((), ExitCode.DONE),
-        (("--max-people", 0), ExitCode.FINDINGS),
-        (("--max-no-fix", 0), ExitCode.NOT_JUDGED),
+        (("--limits", "max_people=0"), ExitCode.FINDINGS),
+        (("--limits", "max_no_fix_m=0"), ExitCode.NOT_JUDGED),
         (("--time", "2020-04-28T16:00:00Z"), ExitCode.BAD_INPUT),
     ],
 )
@@ -242,11 +238,13 @@ def test_a_check_is_an_object_at_each_of_its_codes(more, code, made, tmp_path, c
 
 @pytest.mark.slow
 def test_a_sensitivity_and_a_fit_are_objects(made, tmp_path, capsys):
-    few = ("--samples", 2, "--vary", "gps", "-o", tmp_path / "one")
+    few = ("--study", "num_samples=2", "--vary", "gps", "-o", tmp_path / "one")
     code, out, err = run(capsys, "sensitivity", made, *ROUTE, *few, "--json")
     assert code == ExitCode.DONE, err
-    assert check_json(out, code, "sensitivity")["num_plans"] > 0
-    few = ("--sample", 4, "--bootstrap", 2, "--altitude", 60, "-o", tmp_path / "two")
+    facts = check_json(out, code, "sensitivity")
+    assert facts["decided"]["lines"]["next"].startswith("jaxurban sensitivity ")
+    assert len(facts["tables"]["ways"]) == 2
+    few = ("--sample", 4, "--fit", "bootstrap=2", "--altitude", 60, "-o", tmp_path / "two")
     pilot = "distance=1,gps=1,risk=2"
     code, out, err = run(capsys, "tune", made, *few, "--pilot", pilot, "--json")
     assert code == ExitCode.DONE, err

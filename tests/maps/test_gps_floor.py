@@ -192,7 +192,7 @@ def joined_ends(maps, limits):
 
 def test_routes_stay_above_it_and_reports_and_checks_say_where_they_do_not(two_altitudes):
     maps = two_altitudes
-    limits = ju.Constraints.read(above_gps_floor=True)
+    limits = ju.Constraints.read(require="gps_floor")
     assert str(limits) == "at or above the GPS floor, vertical clearance of 3 m"
     floor_m = maps.m("gps_floor")
     cost_map = ju.cost_map(maps, 12.0, constraints=limits)

@@ -115,13 +115,13 @@ def test_what_would_join_is_found_once_for_a_batch(monkeypatch):
     assert len(labelled) == 1  # at 60 m
 
 
-def test_a_study_of_a_route_that_is_not_there_says_what_would_join_its_ends():
+def test_a_study_of_a_route_that_is_not_there_says_what_would_join_its_ends(tmp_path):
     maps = walled(*NARROW)
-    ends = {
-        name.removesuffix("_xy_m"): maps.grid.lonlat_of_xy(*xy_m) for name, xy_m in ENDS.items()
-    }
-    with pytest.raises(InputError, match="joined at 60 m"):
-        ju.studies.sensitivity(ju.cost_map(maps, 20.0), **ends)
+    ends = [maps.grid.lonlat_of_xy(*xy_m) for xy_m in ENDS.values()]
+    found = ju.studies.sensitivity(maps, tmp_path, [ends], altitudes_m=[20.0], progress=False)
+    assert found.route is None
+    assert "joined at 60 m" in found.rows.note.item()
+    assert "joined at 60 m" in (tmp_path / "report.md").read_text()
 
 
 def test_ends_that_only_a_touch_closes_are_told_apart_and_name_the_rule_under_which_they_are_free(

@@ -73,6 +73,7 @@ def task(tmp_path_factory):
 
 def test_no_layer_has_the_name_of_a_metric_its_maps_or_a_column_of_tables():
     used = {"gps", "gdop", "hpl", "protection", "gps_p05", "lidar_mean", "gps_floor", "distance"}
+    used |= {"gps_floor_median", "population_highest"}
     assert used <= reserved_names()
     assert "noise" not in reserved_names()
 

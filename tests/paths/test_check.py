@@ -328,7 +328,7 @@ def test_heights_whose_zero_nobody_names_are_not_judged(scene):
         legs=tuple(leg._replace(end=leg.end._replace(datum="ellipsoid")) for leg in mission.legs),
     )
     unnamed = ju.check(scene.maps, on_ellipsoid, sources=scene.city)
-    assert (unnamed.state, "--geoid" in unnamed.not_judged[0]) == ("not-judged", True)
+    assert (unnamed.state, "geoid_m, in --heights" in unnamed.not_judged[0]) == ("not-judged", True)
 
 
 def test_an_undulation_that_is_left_out_would_hide_the_ground(scene):
@@ -856,7 +856,7 @@ def test_a_height_above_the_ellipsoid_says_what_is_missing_once_the_geoid_is_nam
     place = scene.place(100.0, 100.0, 30.0, "ellipsoid")
     leg = Leg(place, scene.place(200.0, 100.0, 30.0, "ellipsoid"), "leg", 1)
     mission = Mission("made", (leg,), None, None, (), None)
-    for geoid_m, word in ((None, "--geoid"), (37.0, "above the geoid, and neither")):
+    for geoid_m, word in ((None, "geoid_m"), (37.0, "above the geoid, and neither")):
         city = replace(scene.city, terrain=None)
         result = ju.check(flat, mission, sources=city, geoid_m=geoid_m)
         assert word in " ".join(result.not_judged)

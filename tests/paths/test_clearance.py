@@ -343,11 +343,10 @@ def test_without_a_clearance_nothing_is_kept_or_closed_and_paths_come_nearer():
 
 
 def test_every_command_that_plans_takes_the_options():
-    for module in ("plan", "study", "sensitivity", "tune"):
+    for module in ("plan", "sensitivity", "tune"):
         command = getattr(import_module(f"jaxurban.cli.{module}"), f"{module}_command")
-        assert {"--clearance", "--vertical-clearance"} <= {
-            name for param in command.params for name in param.opts
-        }
+        rules = next(param.type.names for param in command.params if "--rules" in param.opts)
+        assert {"clearance_m", "vertical_clearance_m"} <= {*rules}
 
 
 def test_over_terrain_what_stands_higher_up_the_slope_is_as_high_as_a_path():

@@ -40,7 +40,7 @@ QUICK_MODELS = [
 QUICK = ju.studies.SensitivitySettings(
     vary=("gps",), num_samples=2, objectives=("distance", "gps"), max_plans=10
 )
-QUICK_OPTIONS = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o")
+QUICK_OPTIONS = ("--vary", "gps", "--study", "num_samples=2,max_plans=10", "-o")
 REQUIRE = "risk>=0.08"
 
 
@@ -149,11 +149,19 @@ def costs_of_every_way(maps, ends, planned, under, closed, folder) -> dict[str, 
     costs["plan_many"] = answer.cost
     costs["explain"] = ju.explain(planned, maps).totals["cost"]
     found = ju.studies.sensitivity(
-        ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS, **under), *ends, settings=QUICK
+        maps,
+        folder / "sensitivity",
+        [ends],
+        altitudes_m=[ALTITUDE_M],
+        weights=WEIGHTS,
+        settings=QUICK,
+        progress=False,
+        **under,
     )
-    costs["sensitivity"] = found.route.cost
-    costs["sensitivity's gradient"] = float(found.cost["gradient"] @ VECTOR)
-    given = found.breakpoints("gps").query("is_given")
+    costs["sensitivity"] = found.rows.cost.item()
+    costs["sensitivity's path"] = found.route.path.cost
+    costs["sensitivity's gradient"] = float(found.route.features @ VECTOR)
+    given = found.route.breakpoints("gps").query("is_given")
     assert given.length_m.item() == pytest.approx(planned.length_m, rel=1e-9)
     for name, (shown,) in {
         "read_demonstrations": ju.fit.read_demonstrations(
@@ -228,7 +236,7 @@ def test_without_a_model_every_way_has_the_rules_of_scenario_and_preset_and_one_
         ("sensitivity", (*QUICK_OPTIONS, tmp_path / "study-of-one")),
     ):
         facts = json.loads(run(capsys, command, tmp_path / "maps", *options, *more)[1])
-        costs[f"the command {command}"] = facts.get("route", facts)["cost"]
+        costs[f"the command {command}"] = cost_of(facts)
     assert costs == pytest.approx(dict.fromkeys(costs, expected.cost), rel=1e-9)
 
 
@@ -266,6 +274,13 @@ def folder(maps, tmp_path_factory):
     return folder
 
 
+def cost_of(facts: dict) -> float:
+    """Return the cost in what a command prints, of a path or of a study of one."""
+    if "tables" in facts:
+        (facts,) = facts["tables"]["routes"]
+    return facts["cost"]
+
+
 @pytest.mark.slow
 def test_commands_plan_one_path_under_the_scenarios_cost_model_and_the_same_constraints(
     folder, options, plans, zone_file, tmp_path, capsys
@@ -274,10 +289,9 @@ def test_commands_plan_one_path_under_the_scenarios_cost_model_and_the_same_cons
     expected = plans[ju.CostModel("line", 4.0, 4, "always"), "constraints"]
     for command, more in (("plan", ()), ("sensitivity", (*QUICK_OPTIONS, tmp_path))):
         facts = json.loads(run(capsys, command, *where, *more)[1])
-        found = facts.get("route", facts)
-        assert found["cost"] == pytest.approx(expected.cost, rel=1e-9)
-        assert found["settings"] == expected.settings
-    rules = "(reference length 4 m, 4 neighbours, diagonal steps 'always'), constraints: 1 no-fly zone, risk>=0.08"
+        assert cost_of(facts) == pytest.approx(expected.cost, rel=1e-9)
+        assert facts.get("settings", expected.settings) == expected.settings
+    rules = "(reference length 4 m, 4 neighbours, diagonal steps 'always'); constraints: 1 no-fly zone, risk>=0.08"
     assert f"'line' {rules}" in (tmp_path / "report.md").read_text()
 
 
@@ -293,7 +307,7 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
     ):
         with pytest.raises(
             ju.InputError,
-            match=r"planned under the cost model 'line' .* under 'cell' .*--cost-model",
+            match=r"planned under the cost model 'line' .* under 'cell' .*--rules cost_model",
         ):
             read()
         with pytest.warns(
@@ -343,13 +357,13 @@ def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(
 ):
     model = ju.CostModel("cell", 4.0, 8, "always")
     routes = plans[model, "constraints"].save(tmp_path / "routes.geojson")
-    asked = ("tune", folder, routes, "-o", tmp_path / "fit", "--rounds", 1, "--bootstrap", 0)
+    asked = ("tune", folder, routes, "-o", tmp_path / "fit", "--fit", "max_rounds=1,bootstrap=0")
     code, _, err = run(capsys, *asked, "--no-fly", zone_file, "--require", REQUIRE)
     assert (code, "was planned under" in err) == (0, False), err
     report = (tmp_path / "fit" / "report.md").read_text()
     constraints = "1 no-fly zone, risk>=0.08, vertical clearance of 3 m"
     assert f"| {model} | {constraints} | touched |" in report
-    assert "--cost-model cell" in (tmp_path / "fit" / "weights.toml").read_text()
+    assert "--rules cost_model=cell" in (tmp_path / "fit" / "weights.toml").read_text()
     line = plans[ju.CostModel("line", 4.0), "none"].save(tmp_path / "line.geojson")
     warnings.simplefilter("always")
     code, _, err = run(capsys, *asked, folder, line, "--overwrite")

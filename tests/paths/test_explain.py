@@ -232,11 +232,8 @@ def test_the_command_line_prints_writes_and_draws_the_report_at_any_altitude(
         "plan",
         folder,
         *options_of(maps, **ends, altitude_m=35),
-        "--speed",
-        12,
-        "--power",
-        300,
         "--report",
+        "speed_m_s=12,power_w=300",
     )
     code, out, err = run(
         capsys, *arguments, "--profile", tmp_path / "p.png", "-o", tmp_path / "p.geojson"

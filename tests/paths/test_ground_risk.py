@@ -199,7 +199,7 @@ def test_the_command_reports_density_in_words_in_json_and_in_files(
     maps, folder, ends, capsys, tmp_path
 ):
     route = ("plan", folder, *options_of(maps, *ends.values()))
-    words = ("--corridor", 10, "--contingency", 5, "--ground-buffer", 15, "--density-cell", 150)
+    words = ("--corridor", "10,contingency_m=5,buffer_m=15,cell_m=150")
     files = [tmp_path / f"a{suffix}" for suffix in (".geojson", ".kml", ".plan", ".gpx")]
     outputs = [part for file in files for part in ("-o", file)]
     code, out, err = run(capsys, *route, *words, "--json", *outputs)
@@ -220,5 +220,5 @@ def test_the_command_reports_density_in_words_in_json_and_in_files(
     code, out, err = run(capsys, *route, *words)
     assert (code, GATHERINGS in out) == (0, True)
     assert "people per km2 over a cell of 150 m" in out
-    code, _, err = run(capsys, *route, "--ground-buffer", 15)
-    assert (code, "--ground-buffer belongs to --corridor" in err) == (2, True)
+    code, _, err = run(capsys, *route, "--corridor", "buffer_m=15")
+    assert (code, "half_width_m" in err) == (2, True)

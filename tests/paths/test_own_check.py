@@ -232,7 +232,7 @@ def test_the_command_moves_ends_to_the_ground_and_keeps_other_files(folder, tmp_
     assert code == 0
     assert 0 < facts["snap_distance_m"]["start"] <= 50
     assert is_checked() in (0, 6)
-    code, facts = ended("--from-roof")
+    code, facts = ended("--mission", "from_roof=true")
     assert (code, facts["snap_distance_m"]["start"] < 0.01) == (0, True)
     assert is_checked() in (0, 6)
 

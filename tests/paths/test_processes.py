@@ -57,7 +57,7 @@ def plan(folder, out):
     """Plan by the command."""
     maps = ju.open_maps(folder)
     ends = ends_at(maps, *np.argwhere(maps.is_free(20.0))[[40, -40]])
-    options = ("--budget", BUDGET_S, "--snap", "-o", f"{out}/route.geojson")
+    options = ("--planner", f"budget_s={BUDGET_S}", "--snap", "-o", f"{out}/route.geojson")
     with pytest.raises(SystemExit):
         main([str(word) for word in ("plan", folder, *options_of(maps, **ends), *options)])
     gpd.read_file(f"{out}/route.geojson").drop(columns="geometry").to_parquet(f"{out}/rows.parquet")

@@ -69,12 +69,8 @@ def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_pa
     line = (
         "--weights",
         "lidar=4",
-        "--cost-model",
-        "line",
-        "--clearance",
-        0,
-        "--vertical-clearance",
-        4,
+        "--rules",
+        "cost_model=line,clearance_m=0,vertical_clearance_m=4",
     )
     for named, options in (({}, ()), (given, line)):
         options += ("--report", "--preset", preset) if preset else ("--report",)

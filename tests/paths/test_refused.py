@@ -87,7 +87,7 @@ def each(call, values, words):
 
 REFUSED = [
     # what is planned
-    (lambda s: s.plan(planner="astar"), "unknown planner 'astar' .did you mean 'astar-plus'"),
+    (lambda s: s.plan(planner="astr"), "unknown planner 'astr' .did you mean 'astar'"),
     (lambda s: s.plan(planner="theta"), "unknown planner 'theta' .did you mean 'theta-star'"),
     (lambda s: s.plan(objective="fast"), "'weighted', 'distance' or None"),
     (lambda s: s.plan(cost_model="cells"), "CostModel, 'cell', 'line' or None"),
@@ -159,10 +159,10 @@ REFUSED = [
     ),
     (
         lambda s: s.plan(exposure={"gps": 1.0}, planner="theta-star"),
-        "take the planner astar-dist or astar-plus",
+        "take the planner astar or astar-dist or astar-plus",
     ),
     (lambda s: s.plan(exposure={"gps": 1.0}, refine=True), "leave out refine"),
-    (lambda s: s.plan(exposure={"gps": 1.0}, cost_model="cell"), "--cost-model line"),
+    (lambda s: s.plan(exposure={"gps": 1.0}, cost_model="cell"), "--rules cost_model=line"),
     (lambda s: s.many(planner="a-star"), "unknown planner"),
     (lambda s: s.many(objective="beauty"), "objective must be"),
     (lambda s: s.many(backend="gpu"), "backend must be 'auto', 'numba' or 'jax'"),
@@ -268,18 +268,18 @@ def test_too_little_memory_is_told_before_it_runs_out(scene, monkeypatch):
         ("plan", ("--altitude", 61), ("altitude 61 m", "from 20 to 60 m")),
         (
             "plan",
-            ("--clearance", -3),
+            ("--rules", "clearance_m=-3"),
             ("clearance_m must be 0 or a positive number of metres, got -3",),
         ),
         ("plan", ("--no-fly", "none.kml"), ("none.kml", "does not exist")),
-        ("plan", ("--climb-cost", 1), ("--climb-cost", "--volume")),
+        ("plan", ("--volume", "climb=1"), ("climb_cost",)),
         ("plan", ("--volume", "--planner", "ptp"), ("choose one of astar-volume",)),
         ("plan", ("--profile", "p.jpg"), ("end its name in .png",)),
         ("plan", ("--profile", "none/p.png"), ("folder that is there",)),
         ("plan", ("--simplify", -1), ("tolerance_m must be a positive number of metres",)),
-        ("plan", ("--end", "land"), ("add -o FILE.plan",)),
-        ("plan", ("--end", "hover", "-o", "x.plan"), ("land",)),
-        ("sensitivity", ("--altitude", 35, "-o", "out"), ("no maps for altitude 35",)),
+        ("plan", ("--mission", "land"), ("add -o FILE.plan",)),
+        ("plan", ("--mission", "hover", "-o", "x.plan"), ("land",)),
+        ("sensitivity", ("--altitude", 35, "-o", "out"), ("ask for altitude_m 35",)),
     ],
 )
 def test_a_command_refuses_in_one_sentence_and_ends_with_2(
@@ -297,6 +297,6 @@ def test_many_routes_over_cities_of_other_scenarios_are_refused(tmp_path, capsys
     for radius_m, city in enumerate(cities):
         made_maps(40, 60).save(city)
         write_json(city / "run.json", {"settings": {"vehicle": {"radius_m": radius_m}}})
-    code, _, err = run(capsys, "sensitivity-study", *cities, "--routes", 1, "-o", tmp_path / "out")
+    code, _, err = run(capsys, "sensitivity", *cities, "--routes", 1, "-o", tmp_path / "out")
     assert code == 2
     assert_one_sentence(err, "a and b give other weights, cost models, clearances or vehicles")

@@ -233,10 +233,10 @@ def test_fences_are_of_missions_and_of_paths_with_maps_alone(maps, tmp_path):
 
 
 def test_the_command_writes_fences_and_says_so(maps, folder, ends, capsys, tmp_path):
-    route = ("plan", folder, *options_of(maps, *ends.values()), "--fence-roofs", 12)
+    route = ("plan", folder, *options_of(maps, *ends.values()), "--mission", "fence_roofs_m=12")
     code, _, err = run(capsys, *route, "-o", tmp_path / "a.plan")
     assert code == 0, err
     assert "The geofence keeps out of" in err
     assert json.loads((tmp_path / "a.plan").read_text())["geoFence"]["polygons"]
     code, _, err = run(capsys, *route, "-o", tmp_path / "a.kml")
-    assert (code, "--fence-roofs is of a mission" in err) == (2, True)
+    assert (code, "--mission is of a mission" in err) == (2, True)

@@ -148,8 +148,13 @@ def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps,
     maps.save(tmp_path / "maps")
     start, goal = (place[:2] for place in ends_of(maps))
     # With a clearance above 3 m legs may leave the path; without one, those beside walls may not.
-    query = (tmp_path / "maps", *options_of(maps, start, goal), "--snap", "--cost-model", "cell")
-    query += ("--clearance", 4)
+    query = (
+        tmp_path / "maps",
+        *options_of(maps, start, goal),
+        "--snap",
+        "--rules",
+        "cost_model=cell,clearance_m=4",
+    )
     plan, line = tmp_path / "path.plan", tmp_path / "path.geojson"
     files = ("-o", plan, "-o", line, "-o", tmp_path / "path.gpx")
 
@@ -177,7 +182,7 @@ def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps,
     assert every > few
     assert same_points == all_points
     assert "Simplified" not in err
-    coarse, same_few, facts, _ = num_waypoints("--simplify", 8, "--end", "return")
+    coarse, same_few, facts, _ = num_waypoints("--simplify", 8, "--mission", "return")
     assert coarse == same_few == facts["num_points"] <= few
     assert facts["settings"]["simplify_m"] == 8
     assert json.loads(plan.read_text())["mission"]["items"][-1]["command"] == 20

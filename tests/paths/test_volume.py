@@ -132,7 +132,7 @@ def test_files_hold_every_points_altitude(maps, ends, tmp_path):
 
 def test_the_command_line_plans_through_the_volume(maps, ends, tmp_path, capsys):
     maps.save(tmp_path)
-    options = ("--volume", "--max-altitude", 60, "--level-step", 10, "--climb-cost", 0.01, "--json")
+    options = ("--volume", "max_altitude_m=60,level_step_m=10,climb_cost=0.01", "--json")
     code, out, _ = run(capsys, "plan", tmp_path, *options_of(maps, **ends), *options)
     facts = json.loads(out)
     assert (code, facts["planner"], facts["z_m"][0], facts["z_m"][-1]) == (

@@ -231,7 +231,7 @@ def test_the_command_prints_writes_and_draws_the_same(maps, pairs, tmp_path, cap
     for options in (
         ("-o", "when.geojson"),
         ("--volume",),
-        ("--speed", 12),
+        ("--report", "speed_m_s=12"),
         ("--exposure", "risk<=9"),
     ):
         code, out, err = run(capsys, *arguments, *options)

@@ -42,7 +42,13 @@ def test_a_problem_between_other_cells_or_under_other_weights_shares_what_does_n
 def test_planners_by_name_run_with_their_own_heuristic():
     ran = {name: find_planner(name)(make(), budget_s=0.2, seed=0).heuristic for name in PLANNERS}
     off_grid = {"bitstar-dist": "euclidean", "bitstar-plus": "plus", "theta-star": "plus"}
-    assert ran == {"ptp": "none", "astar-dist": "euclidean", "astar-plus": "tiles", **off_grid}
+    assert ran == {
+        "ptp": "none",
+        "astar": "tiles",
+        "astar-dist": "euclidean",
+        "astar-plus": "tiles",
+        **off_grid,
+    }
     path = find_planner("astar-plus", "octile")(make(), budget_s=0.2, seed=3)
     assert (path.planner, path.heuristic, path.backend) == ("astar-plus", "octile", "numba")
 

@@ -202,7 +202,7 @@ REFUSED = {
         lambda: solve_many([], num_threads=0),
         "num_threads must be a whole number from 1 up",
     ),
-    "many by an unknown planner": (lambda: solve_many([], planner="astar"), "unknown planner"),
+    "many by an unknown planner": (lambda: solve_many([], planner="dijkstra"), "unknown planner"),
     "many without an end": (
         lambda: solve_many([wall()], planner="bitstar-plus", backend="jax"),
         "nothing else ends",

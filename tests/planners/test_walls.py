@@ -20,7 +20,7 @@ HALF_LENGTHS = {"with a way round": 8, "across all": 60}  # cells from the wall'
 ALTITUDE_M, HEIGHT_M, ABOVE_M = 20.0, 50.0, 60.0
 ANGLES_DEG = np.linspace(0, 90, 9).tolist()
 BUDGET_S = 0.1  # of BIT* and of refinement
-COMPLETE = {"astar-dist", "astar-plus", "theta-star"}  # they find a path if there is one
+COMPLETE = {"astar", "astar-dist", "astar-plus", "theta-star"}  # they find a path if there is one
 
 
 class Wall:

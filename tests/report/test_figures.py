@@ -97,7 +97,7 @@ def make_path(
 
 
 def make_paths(maps):
-    planners = {"ptp": Status.BLOCKED, "astar-dist": Status.OPTIMAL, "astar-plus": Status.OPTIMAL}
+    planners = {"ptp": Status.BLOCKED, "astar-dist": Status.FEASIBLE, "astar-plus": Status.FEASIBLE}
     names = ("day", "day", "night", "night") if maps.times_of_day else (None,) * 4
     above = zip(ALTITUDES_M, names, strict=True)
     return [make_path(maps, *planner, z, name) for z, name in above for planner in planners.items()]
@@ -289,10 +289,22 @@ def test_paths_have_the_papers_colours_and_coinciding_ones_both_show(maps):
     assert named["astar-plus"].get_color() == PLANNER_COLOURS["astar-plus"]
 
 
+def test_paths_that_are_cheapest_by_proof_are_one_line(maps):
+    proven = [make_path(maps, name) for name in ("astar-dist", "astar-plus")]
+    (panel,) = panels_of(plotting.plot_paths(maps, proven))
+    assert len(lines_of(panel)) == 1
+    assert panel.get_xlabel().splitlines()[-1] == "astar: 1,235, 5.68 km"
+    (panel,) = panels_of(plotting.plot_paths(maps, proven, names=["one", "other"]))
+    assert len(lines_of(panel)) == 2
+    dearer = replace(proven[1], cost=2000.0)
+    (panel,) = panels_of(plotting.plot_paths(maps, [proven[0], dearer]))
+    assert len(lines_of(panel)) == 2
+
+
 @pytest.mark.usefixtures("laid_out")
 def test_routes_that_coincide_are_drawn_side_by_side_and_one_apart_at_its_place(maps):
     paths = [make_path(maps, name) for name in PLANNER_COLOURS]
-    canvas = FigureCanvasAgg(plotting.plot_paths(maps, paths))
+    canvas = FigureCanvasAgg(plotting.plot_paths(maps, paths, names=[*PLANNER_COLOURS]))
     canvas.draw()
     shown = np.asarray(canvas.buffer_rgba())[..., :3]
     for colour in PLANNER_COLOURS.values():
@@ -457,7 +469,7 @@ def test_notes_tell_the_place_and_only_the_guesses_that_concern_the_picture():
 def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
     names = [f"a planner of a long name {number}" for number in range(12)]
     paths = [make_path(maps, name) for name in names]
-    (panel,) = panels_of(plotting.plot_paths(maps, paths, names=[*PLANNER_COLOURS, *names[5:]]))
+    (panel,) = panels_of(plotting.plot_paths(maps, paths, names=[*PLANNER_COLOURS, *names[6:]]))
     lines = lines_of(panel)
     assert len({line.get_color() for line in lines}) == 12
     assert {line.get_linewidth() for line in lines} == {LINE_PT}
@@ -540,7 +552,7 @@ def test_no_axes_are_empty_and_no_bar_is_wider_than_its_map(maps, width):
 
 
 def test_titles_name_the_time_of_day_and_legends_lanes(maps):
-    day = [make_path(maps, name) for name in ("astar-dist", "ptp")]
+    day = [make_path(maps, "astar-dist"), make_path(maps, "ptp", Status.FEASIBLE)]
     night = make_path(maps, "ptp", time_of_day="night")
     assert plotting.plot_paths(maps, day).get_suptitle().endswith("ground, day")
     assert plotting.plot_overview(maps, night).get_suptitle().endswith("ground, night")

@@ -42,7 +42,7 @@ def assert_refused(ended, *words) -> None:
 @pytest.mark.slow
 def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys):
     out = tmp_path / "out"
-    facts = facts_of(capsys, *made, "-o", out, "--bootstrap", 20)
+    facts = facts_of(capsys, *made, "-o", out, "--fit", "bootstrap=20")
     assert sum(facts["weights"].values()) == pytest.approx(1)
     assert facts["mean_regret"] < 1e-3
     for table in ("weights", "examples", "learning_curve"):
@@ -52,16 +52,16 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
             > 0
         )
     report = (out / "report.md").read_text()
-    assert report.splitlines()[2] == f"**{facts['message']}**"
+    for line, name in zip(
+        report.splitlines()[2:5], ("Decided", "Not decided", "Next"), strict=True
+    ):
+        assert line.startswith(f"- **{name}**: ")
+    assert report.splitlines()[6] == f"**{facts['message']}**"
     assert (out / "weights.toml").read_text().startswith(f"# {facts['message']}\n")
     parts = [line.removeprefix("## ") for line in report.splitlines() if line.startswith("## ")]
-    assert parts[:4] == [
-        "What the routes say",
-        "Fitted weights",
-        "Routes under the weights",
-        "How sure",
-    ]
-    assert parts[4:] == ["How to use the weights", "Files"]
+    assert parts[:3] == ["Fitted weights", "Routes under the weights", "Fits compared"]
+    assert parts[3:] == ["How sure", "How to use the weights", "Files"]
+    assert "4 of 16 routes were held out" in report
     assert report.count("© a made city") == 1
     for figure in ("weights", "routes_1"):
         assert (out / "figures" / f"{figure}.png").is_file()
@@ -77,13 +77,15 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
         "risk",
     ]
 
-    again = facts_of(capsys, *made, "-o", out, "--bootstrap", 20)
-    assert (again["weights"], again["interval"]) == (facts["weights"], facts["interval"])
+    again = facts_of(capsys, *made, "-o", out, "--fit", "bootstrap=20")
+    assert (again["weights"], again["decided"]) == (facts["weights"], facts["decided"])
     assert_refused(
-        run(capsys, "tune", *made, "-o", out, "--seed", 1), "another file or folder", "--overwrite"
+        run(capsys, "tune", *made, "-o", out, "--fit", "seed=1"),
+        "another file or folder",
+        "--overwrite",
     )
     (out / "weights.toml").write_text("mine")
-    refused = run(capsys, "tune", *made, "-o", out, "--bootstrap", 20, "--overwrite")
+    refused = run(capsys, "tune", *made, "-o", out, "--fit", "bootstrap=20", "--overwrite")
     assert_refused(refused, "weights.toml", "is not as `jaxurban tune` wrote it")
 
 
@@ -96,8 +98,8 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
         "detour<=0.3",
         "--metrics",
         "gps",
-        "--rounds",
-        1,
+        "--fit",
+        "max_rounds=1",
     )
     facts = facts_of(capsys, *made, "-o", tmp_path / "out", *options)
     assert not facts["is_met"]
@@ -106,6 +108,10 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     report = (tmp_path / "out" / "report.md").read_text()
     assert (report.count(facts["message"]), report.count("© a made city")) == (1, 1)
     assert len(pd.read_csv(tmp_path / "out" / "targets.csv")) == 2
+    tested = pd.read_csv(tmp_path / "out" / "tested.csv").set_index("what")
+    assert [*tested.index] == ["mean_gps >= 0.999", "detour <= 0.3", "length_m"]
+    assert "Means over 4 routes, of which the fit saw none" in report
+    assert "as given" not in report
 
 
 @pytest.mark.parametrize(
@@ -113,12 +119,12 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     [
         (2, ("--altitude", 13), ("13", "from 20 to 60 m")),
         (2, ("--wish", "mean_gsp>=1"), ("mean_gps",)),
-        (2, ("--wish", "mean_gps>=0.8", "--bootstrap", 3), ("--bootstrap",)),
+        (2, ("--wish", "mean_gps>=0.8", "--fit", "bootstrap=3"), ("--fit bootstrap",)),
         (2, ("--metrics", "gsp"), ("gsp", "gps")),
         (2, ("--resolution", 7), ("7",)),
-        (2, ("--budget", -1), ("budget_s",)),
+        (2, ("--fit", "budget_s=-1"), ("budget_s",)),
         (2, ("--sample", 3), ("choose one of both",)),
-        (2, ("--hold-out", 1), ("hold_out",)),
+        (2, ("--fit", "hold_out=1"), ("hold_out",)),
         (2, ("-o", FILE), ("it is a file",)),
         (1, ("--sample", 6, "--metrics", "gps"), ("name the weights of the pilot",)),
         (1, ("--sample", 6, "--pilot", "distance=0,gps=0"), ("every weight of the pilot is 0",)),
@@ -141,7 +147,7 @@ def test_ctrl_c_keeps_the_searches_and_the_same_command_ends_alike(
         save(store)
         raise KeyboardInterrupt
 
-    how = (*made, "--bootstrap", 0, "-o")
+    how = (*made, "--fit", "bootstrap=0", "-o")
     with monkeypatch.context() as patched:
         patched.setattr("jaxurban.io.tables.SAVE_EVERY_S", 0.0)
         patched.setattr(RowStore, "save", save_and_stop)
@@ -159,9 +165,9 @@ def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path
     small_maps().save(tmp_path / "second")
     queries = made_queries(cost_map(small_maps(), 20.0), 12, seed=1)
     write_geojson(tmp_path / "second.geojson", optimal_demonstrations(queries, HIDDEN))
-    options = ("--hold-out", 0.25, "--by-city", "--bootstrap", 8)
+    options = ("--fit", "hold_out=0.25,by_city=true,bootstrap=8,max_rounds=14")
     second = (tmp_path / "second", tmp_path / "second.geojson")
-    facts = facts_of(capsys, *made, *second, "-o", tmp_path / "out", *options, "--rounds", 14)
+    facts = facts_of(capsys, *made, *second, "-o", tmp_path / "out", *options)
     assert [row["fit"] for row in facts["fits"]] == ["all", "only maps", "only second"]
     assert facts["fits"][0]["held_out_regret"] < 1e-3
     report = (tmp_path / "out" / "report.md").read_text()
@@ -181,10 +187,8 @@ def test_sampled_instances_are_flown_by_the_pilot_by_day_and_by_night(tmp_path, 
         6,
         "--pilot",
         "distance=0.02,gps=1,population=1",
-        "--seed",
-        1,
-        "--bootstrap",
-        0,
+        "--fit",
+        "seed=1,bootstrap=0",
     )
     assert (
         facts_of(capsys, tmp_path / "maps", "-o", tmp_path / "out", *options)["mean_regret"] < 1e-4
@@ -200,7 +204,9 @@ def test_the_study_in_a_folder_of_maps_is_fitted_and_reported(tmp_path, capsys):
     planned = ju.studies.Study(planners=["ptp", "astar-plus"], weights=[HIDDEN], altitudes_m=[20.0])
     ju.studies.study(maps, maps / "study", 16, settings=planned, progress=False)
     own, alone, named = ([maps], [maps / "study"], [maps, maps / "study"])
-    facts = [facts_of(capsys, *words, "-o", out, "--bootstrap", 0) for words in (own, alone, named)]
+    facts = [
+        facts_of(capsys, *words, "-o", out, "--fit", "bootstrap=0") for words in (own, alone, named)
+    ]
     assert facts[0]["weights"] == facts[1]["weights"] == facts[2]["weights"]
     assert facts[0]["mean_regret"] < 1e-3
     assert f"`{maps / 'study'}` over the maps in `{maps}`" in (out / "report.md").read_text()
@@ -218,8 +224,8 @@ def test_the_study_in_a_folder_of_maps_is_fitted_and_reported(tmp_path, capsys):
         "mean_gps>=0.5",
         "--metrics",
         "gps",
-        "--rounds",
-        1,
+        "--fit",
+        "max_rounds=1",
     )
     assert len(wished["outcomes"]) == 1
 

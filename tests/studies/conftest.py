@@ -33,7 +33,7 @@ def study(folders, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def weight_study(folders, tmp_path_factory) -> ju.studies.SensitivityStudy:
+def weight_study(folders, tmp_path_factory) -> ju.studies.Sensitivity:
     return run_study("weight_study", folders, tmp_path_factory.mktemp("weights"))
 
 

@@ -21,7 +21,7 @@ from tests.made_maps import made_maps
 NUM = 16  # demonstrations of every fit: other shapes are compiled anew
 NUM_ROUTES = 9  # of the study of weights, a city
 STUDY = ju.studies.Study(budget_iterations=200, seed=2)
-WEIGHT_STUDY = ju.studies.SensitivityStudySettings(num_samples=2, seed=3)
+WEIGHT_STUDY = ju.studies.SensitivitySettings(num_samples=2, seed=3)
 HIDDEN = ju.Weights(distance=0.02, gps=0.35, lidar=0.15, population=0.2, risk=0.28)
 
 
@@ -107,7 +107,7 @@ def run_study(name: str, folders: Sequence[Path], out: Path, num: object = None,
             folders[0], out, 12 if num is None else num, **{"settings": STUDY} | how
         )
     num = NUM_ROUTES if num is None else num
-    return ju.studies.sensitivity_study(folders, out, num, **{"settings": WEIGHT_STUDY} | how)
+    return ju.studies.sensitivity(folders, out, num, **{"settings": WEIGHT_STUDY} | how)
 
 
 def same_rows(one: pd.DataFrame, other: pd.DataFrame) -> None:

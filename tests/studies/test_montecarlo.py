@@ -155,21 +155,19 @@ def test_the_report_holds_every_table_figure_and_sentence(study, tmp_path):
     told = report_markdown(replace(study, instances=same), tables_of(study))
     assert f" Weights: distance 0.25, gps {same.w_gps.iloc[0]:g}, " in told
     for name in (
-        "choices",
+        "ranks",
+        "pairs",
         "success",
-        "costs",
-        "paired",
         "times",
-        "usage",
         "objectives",
         "complementarity",
     ):
         assert (tmp_path / "tables" / f"{name}.csv").is_file()
-    for title in ("Which planner, when", "Cost", "Planners two by two", "GPS and lidar"):
+    for title in ("Ranks", "Cost", "GPS and lidar"):
         assert f"## {title}" in report
     for picture in (tmp_path / "figures").glob("*.png"):
         assert f"figures/{picture.name}" in report
-    assert len(list((tmp_path / "figures").glob("*.png"))) == 3
+    assert len(list((tmp_path / "figures").glob("*.png"))) == 2
     assert "nan" not in report
     assert report.count("© a made city") == 1
 
@@ -199,7 +197,7 @@ def test_planners_that_solve_no_joined_pair_at_an_altitude_are_drawn(
     drawn = {f"figures/{picture.name}" for picture in (tmp_path / "figures").glob("*.png")}
     assert drawn == {
         f"figures/{name}.png"
-        for name in ("success", "costs", "complementarity")
+        for name in ("border", "costs", "complementarity")
         if f"/{name}." in report
     }
     assert ("figures/costs.png" in drawn) == (planners == ["ptp"])

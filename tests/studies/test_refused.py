@@ -129,8 +129,9 @@ def compared(s: Scene, **how):
     return compare_fits({"Aton": s.demonstrations[:4], "Beton": s.demonstrations[4:8]}, **how)
 
 
-def sensitivity(s: Scene, maps=None, goal: int = 1):
-    return ju.studies.sensitivity(ju.cost_map(maps or s.crossed, 20.0), s.ends[0], s.ends[goal])
+def sensitivity(s: Scene, maps=None, goal: int = 1, **how):
+    ends = s.ends[0], s.ends[goal]
+    return ju.studies.sensitivity(maps or s.crossed, "out", [ends], altitudes_m=[20.0], **how)
 
 
 def compare(s: Scene, change):
@@ -186,21 +187,20 @@ ROWS = [
     ),
     ("none of the city 'beta'", lambda s: cities(s, "alpha", "alpha")),
     ("routes must be", lambda s: weights(s, True)),
-    ("routes must be", lambda s: weights(s, [((0.0, 0.0), (1, 1))])),
+    ("lack the column 'city'", lambda s: weights(s, [((0.0, 0.0), (1, 1))])),
     ("has no rows", lambda s: weights(s, s.weight_study.instances[:0])),
     (
-        "another run of `jaxurban sensitivity-study`",
+        "another run of `jaxurban sensitivity`",
         lambda s: reweighed(s, settings=replace(WEIGHT_STUDY, wrong=3.0)),
     ),
-    ("another run of `jaxurban sensitivity-study`", lambda s: reweighed(s, 1)),
-    ("factors must be two", lambda _: ju.studies.SensitivityStudySettings(factors=(0.1,))),
+    ("another run of `jaxurban sensitivity`", lambda s: reweighed(s, 1)),
+    ("factors must be two", lambda _: ju.studies.SensitivitySettings(factors=(0.1,))),
     ("nothing varies", lambda _: varied_columns(("distance", "gps"), np.array([0.1, 0.0]), ())),
     (
         "or 'noise', got 'nois'",
-        lambda s: ju.studies.sensitivity(ju.cost_map(s.noisy, 20.0), *s.ends, settings=NOIS),
+        lambda s: sensitivity(s, s.noisy, settings=NOIS),
     ),
     ("one cell", lambda s: sensitivity(s, goal=0)),
-    ("no route to study", lambda s: sensitivity(s, walled(s.crossed, 15))),
     ("block_m", lambda _: ju.studies.ReceiverSettings(block_m=0.0)),
     ("sky_step_s", lambda _: ju.studies.ReceiverSettings(sky_step_s=900.0)),
     (

@@ -1,7 +1,6 @@
-"""Weights of one route: breakpoints against SciPy's Dijkstra, Sobol indices, derivatives, report and command."""
+"""Weights of one route: breakpoints against SciPy, Sobol indices, the gradient of its cost, report and command."""
 
 import json
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,18 +11,13 @@ from scipy.sparse.csgraph import dijkstra
 
 import jaxurban as ju
 from jaxurban.planners.cost import STEPS
-from jaxurban.report.figures.sensitivity import sensitivity_figures
-from jaxurban.report.sensitivity import ranges, sensitivity_markdown
+from jaxurban.report.figures.sensitivity import one_figures
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front
-from jaxurban.studies.weights.sobol import (
-    FEW_SAMPLES,
-    cost_gradient,
-    outcome_slopes,
-    sobol_indices,
-    sobol_of_weights,
-)
+from jaxurban.studies.weights.one_route import SAME_WAY
+from jaxurban.studies.weights.paid import paid_on
+from jaxurban.studies.weights.sobol import FEW_SAMPLES, sobol_indices, sobol_of_weights
 from tests.cli_runs import run
 from tests.pictures import faults
 from tests.studies.routes_made import walled
@@ -240,9 +234,14 @@ def test_indices_of_weights_come_with_intervals_and_take_n_times_factors_plus_2_
 
 
 @pytest.fixture(scope="module")
-def found(crossing, ends):
+def found(crossed, ends, tmp_path_factory) -> ju.studies.Sensitivity:
     return ju.studies.sensitivity(
-        crossing.cost_map, *ends, settings=ju.studies.SensitivitySettings(num_samples=4)
+        crossed,
+        tmp_path_factory.mktemp("one"),
+        [ends],
+        altitudes_m=[20.0],
+        settings=ju.studies.SensitivitySettings(num_samples=4),
+        progress=False,
     )
 
 
@@ -250,16 +249,7 @@ def found(crossing, ends):
 def command(crossed, ends, tmp_path, capsys):
     """Return what runs the command of a small study, with other options, over its maps or others."""
     crossed.save(tmp_path / "maps")
-    few = (
-        "--vary",
-        "risk,population",
-        "--samples",
-        2,
-        "--pareto",
-        "distance,risk",
-        "-o",
-        tmp_path / "out",
-    )
+    few = ("--vary", "risk,population", "--study", "num_samples=2", "-o", tmp_path / "out")
 
     def runs(*options, start=ends[0]):
         places = [
@@ -273,77 +263,100 @@ def command(crossed, ends, tmp_path, capsys):
     return runs
 
 
-def test_gradient_of_the_cheapest_cost_equals_central_differences(crossing):
-    pool = RoutePool([crossing])
-    cost = cost_gradient(crossing.names, GIVEN, pool.cheapest(GIVEN[None])[0, :, 0])
+def test_gradient_of_the_cheapest_cost_equals_central_differences(crossing, found):
+    route = found.route
+    shares = found.tables["weights"].set_index("weight_name").elasticity
     for column, name in enumerate(crossing.names):
         step = np.eye(len(GIVEN))[column] * 1e-6
-        costs = [w @ pool.cheapest(w[None, None])[0, 0, 0] for w in (GIVEN + step, GIVEN - step)]
-        assert cost.loc[name, "gradient"] == pytest.approx((costs[0] - costs[1]) / 2e-6, rel=1e-6)
-    assert cost["elasticity"].sum() == pytest.approx(1)
-
-
-def test_expected_outcomes_answer_to_weights_as_differences_of_many_searches_do(crossing):
-    pool = RoutePool([crossing])
-    noise = 0.5
-    row = outcome_slopes(pool, GIVEN, pool.cheapest(GIVEN[None])[1, :, 0], noise).loc[
-        ("mean_risk", "risk")
-    ]
-    drawn = np.random.default_rng(5).normal(size=(600, len(GIVEN))) * noise
-    step, means = 0.4, []
-    for sign in (1, -1):
-        weights = GIVEN * np.exp(drawn + sign * step * np.eye(len(GIVEN))[4])
-        sums = pool.cheapest(weights[None])[1, 0].mean(axis=0)
-        means.append(sums[4] / sums[0])
-    assert row["expected_slope"] == pytest.approx(
-        (means[0] - means[1]) / (2 * step), abs=4 * row["expected_slope_se"]
-    )
-    assert row["expected_slope"] > 0
-
-
-def test_the_route_stays_the_same_inside_its_range_and_changes_outside(crossed, ends, found):
-    for name in found.lines:
-        at = ranges(found, name)
-        assert (
-            0.1 <= at["alike_from"] <= at["same_from"] <= 1 <= at["same_to"] <= at["alike_to"] <= 10
+        above, below = (
+            dijkstra_cost(crossing, weights) for weights in (GIVEN + step, GIVEN - step)
         )
-        for value, is_same in ((at["same_to"] * 0.999, True), (at["same_to"] * 1.001, False)):
-            if at["same_to"] < 10:
-                weights = ju.Weights(**{name: value})
-                other = ju.plan(crossed, *ends, altitude_m=20.0, cost_model="line", weights=weights)
-                sums = [(route.length_m, *route.metrics.values()) for route in (other, found.route)]
-                assert np.allclose(*sums, rtol=1e-9) == is_same
+        assert route.features[column] == pytest.approx((above - below) / 2e-6, rel=1e-5)
+        share = GIVEN[column] * route.features[column] / dijkstra_cost(crossing, GIVEN)
+        assert shares[name] == pytest.approx(share)
+    assert shares.sum() == pytest.approx(1)
+
+
+def test_the_route_stays_the_same_up_to_the_first_factor_and_goes_another_way_at_the_other(
+    crossed, ends, found
+):
+    under = {"altitude_m": 20.0, "cost_model": "line"}
+    given = ju.plan(crossed, *ends, **under)
+    own = {tuple(cell) for cell in np.floor(given.xy_m).astype(int)}
+    ways = found.tables["ways"]
+    assert set(ways.weight_name) == set(found.route.lines)
+    assert ways.factor.notna().sum() > 1
+    for row in ways.dropna(subset="first").to_dict("records"):
+        step = 1.001 if row["side"] == "more" else 1 / 1.001
+        for factor, is_same in ((row["first"] / step, True), (row["first"] * step, False)):
+            weights = {row["weight_name"]: factor}
+            other = ju.plan(crossed, *ends, weights=weights, **under)
+            sums = [(route.length_m, *route.metrics.values()) for route in (other, given)]
+            assert np.allclose(*sums, rtol=1e-9) == is_same
+    for row in ways.dropna(subset="factor").to_dict("records"):
+        step = 1.001 if row["side"] == "more" else 1 / 1.001
+        weights = {row["weight_name"]: row["factor"] * step}
+        other = ju.plan(crossed, *ends, weights=weights, **under)
+        cells = {tuple(cell) for cell in np.floor(other.xy_m).astype(int)}
+        assert len(own & cells) / len(own) < SAME_WAY
+        assert row["more_length_m"] == pytest.approx(other.length_m - given.length_m, abs=1e-6)
+        on = ju.cost_map(crossed, **under)
+        cost = on.problem.features(other.xy_m - crossed.grid.bounds_m[:2]).cost(on.weight_vector)
+        assert row["more_cost"] == pytest.approx(cost / given.cost - 1, rel=1e-6)
+
+
+def test_what_a_route_costs_is_what_its_report_says(town_route):
+    on, path = town_route
+    totals = ju.explain(path, on.maps).totals
+    paid = paid_on(on)(path.xy_m - on.grid.bounds_m[:2])
+    assert paid["length_m"] == pytest.approx(path.length_m)
+    assert paid["people_below"] == pytest.approx(totals["people_overflown"], rel=1e-6)
+    profile = ju.explain(path, on.maps).profile
+    lost = profile[~np.isfinite(profile.hdop)]
+    assert paid["no_fix_m"] == pytest.approx((lost.to_m - lost.from_m).sum(), abs=1e-6)
+    assert paid["at_edge"] in (0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def town_route() -> tuple[ju.CostMap, ju.PlannedPath]:
+    maps = ju.build_maps(
+        ju.demo_city(600, 600), resolution_m=20.0, altitudes_m=(20.0,), progress=False
+    )
+    on = ju.cost_map(maps, 20.0)
+    lonlat = maps.grid.lonlat_of_cell
+    return on, on.plan(lonlat(1, 1), lonlat(28, 28), snap=True)
+
+
+def test_the_first_lines_say_where_the_route_changes_and_that_one_route_says_nothing_of_others(
+    found,
+):
+    lines = found.decided.facts
+    ways = found.tables["ways"].dropna(subset="factor")
+    nearest = ways.loc[np.abs(np.log(ways.factor)).idxmin()]
+    first = found.decided.verdicts[0]
+    assert first.what == (nearest.weight_name,)
+    assert first.facts["factor"] == nearest.factor
+    assert f"{nearest.weight_name} times {nearest.factor:.3g} sends the drone" in lines["decided"]
+    assert "which one route cannot say" in lines["not decided"]
+    assert lines["next"] == "jaxurban sensitivity DIR --routes 30"
+    report = (found.folder / "report.md").read_text().splitlines()
+    assert report[2].startswith("- **Decided**: ")
+    assert all(line in repr(found) for line in lines.values())
 
 
 @pytest.mark.slow
-def test_it_shows_what_each_weight_does_its_report_every_file_and_its_figures_their_whole_text(
-    found, tmp_path
-):
-    for draw in sensitivity_figures(found).values():
+def test_the_report_names_every_figure_and_every_table_has_its_files(found):
+    for draw in one_figures(found.route).values():
         assert faults(draw()) == []
-    for name in found.lines:
-        assert f"{len(found.lines[name].cells)}" in found.facts[name].rpartition(": ")[2]
-        assert f"{name}: {found.weights[found.names.index(name)]:g}, " in repr(found)
-    files = found.save(tmp_path / "out")
-    report = (tmp_path / "out" / "report.md").read_text()
-    assert report == sensitivity_markdown(found)
+    report = (found.folder / "report.md").read_text()
     assert report.count("© a made city") == 1
-    costs = pd.DataFrame(
-        {"per_metre": [2.0], "height_m": 30.0, "lon": -74.0, "lat": 40.75, "distance_m": 5.0}
-    )
-    told = sensitivity_markdown(found, costs)
-    assert told.index("| 0 | 2 | 30 | -74.0 | 40.75 | 5 |") < told.index("## How to read this")
-    assert "Which buildings" not in report
-    assert all(sentence in report for sentence in found.route.cautions or ["no caution"])
+    assert all(sentence in report for sentence in found.route.path.cautions or ["no caution"])
     shown = {part.split(")")[0] for part in report.split("](")[1:]}
-    assert len(shown) == 3
-    assert {f"figures/{file.name}" for file in files if file.suffix == ".png"} == shown
-    for name, table in found.tables().items():
+    assert shown == {f"figures/{name}.png" for name in ("switches", "switch_routes", "pareto")}
+    assert {f"figures/{file.name}" for file in (found.folder / "figures").iterdir()} == shown
+    for name, table in found.tables.items():
         for read, suffix in ((pd.read_csv, "csv"), (pd.read_parquet, "parquet")):
-            assert len(read(tmp_path / "out" / "tables" / f"{name}.{suffix}")) == len(table)
-    found.save(tmp_path / "out")
-    with pytest.raises(ju.InputError, match="another run of `jaxurban sensitivity`"):
-        replace(found, settings=replace(found.settings, tolerance=0.1)).save(tmp_path / "out")
+            assert len(read(found.folder / "tables" / f"{name}.{suffix}")) == len(table)
 
 
 @pytest.mark.slow
@@ -353,11 +366,13 @@ def test_the_command_prints_json_and_tells_a_start_that_was_moved_there_and_in_t
     start = crossed.grid.lonlat_of_cell(*np.argwhere(~crossed.is_free(20.0))[0])
     code, out, err = command("--snap", "--json", start=start)
     assert code == 0, err
-    assert set(json.loads(out)["ranges"]) == {"risk", "population"}
+    assert {row["weight_name"] for row in json.loads(out)["tables"]["ways"]} == {
+        "risk",
+        "population",
+    }
     report = (tmp_path / "out" / "report.md").read_text()
     for text in (err, report):
         assert "The start was not free: it was moved 30.0 m, to a free cell." in text
-    assert "obstacles: touched" in report
 
 
 def test_a_walled_goal_is_exit_3(crossed, command, tmp_path):

@@ -19,13 +19,15 @@ from jaxurban.maps.run import run_scenario, tasks_of
 from jaxurban.maps.sources import scenario_of
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.rows import InstanceRuns, RouteRules, solve_here
-from jaxurban.report.figures.sensitivity_study import plot_nearest, sensitivity_study_figures
-from jaxurban.report.sensitivity_study import shown_tables, study_markdown
+from jaxurban.report.figures.sensitivity import many_figures, plot_nearest
+from jaxurban.report.sensitivity import sensitivity_markdown, shown_tables
 from jaxurban.studies.bootstrap import Clusters
+from jaxurban.studies.decided import SharedVerdict, Verdict
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.weights.routes import OnChangedMaps
 from jaxurban.studies.weights.sobol import sobol_indices
-from jaxurban.studies.weights.summary import summarise, summarise_shares
+from jaxurban.studies.weights.summary import MORE, small_parts, summarise, summarise_shares
+from jaxurban.studies.weights.verdicts import WeightVerdict, verdicts_of
 from tests.cli_runs import TOWN, run
 from tests.pictures import faults
 from tests.studies.routes_made import WEIGHT_STUDY, run_study, same_rows
@@ -130,8 +132,8 @@ def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(alpha, weight_
     queries = asked[
         ["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "time", "time_of_day"]
     ]
-    again = ju.studies.sensitivity_study({"alpha": alpha}, tmp_path, queries, settings=WEIGHT_STUDY)
-    assert repr(again).startswith(f"SensitivityStudy(cities: alpha; routes: {len(again.rows)}, ")
+    again = ju.studies.sensitivity({"alpha": alpha}, tmp_path, queries, settings=WEIGHT_STUDY)
+    assert f"cities: alpha; routes: {len(again.rows)}, " in repr(again)
     kinds = ("cost", "elasticity", "below", "above", "people")
     columns = [
         name
@@ -155,7 +157,7 @@ def test_a_route_that_fails_is_a_row_with_its_status(alpha, folders, weight_stud
     rows.loc[rows.index[1], ["goal_x_m", "goal_y_m"]] = rows.iloc[1][
         ["start_x_m", "start_y_m"]
     ].to_numpy()
-    again = ju.studies.sensitivity_study(folders[0], tmp_path, rows, settings=WEIGHT_STUDY)
+    again = ju.studies.sensitivity(folders[0], tmp_path, rows, settings=WEIGHT_STUDY)
     assert again.rows.sort_values("instance").status.tolist() == [
         "bad-input",
         "bad-input",
@@ -188,7 +190,7 @@ def test_the_report_names_every_figure_and_no_share_below_zero(weight_study):
     assert "over cities" not in [*weight_study.tables["summary"].cut], (
         "two cities say nothing of others"
     )
-    assert "| of | weight | cities | routes | regret |" in report
+    assert "| of | weight | routes | regret % |" in report
     assert "Routes were drawn by stratum" in report
 
 
@@ -196,12 +198,12 @@ def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_pop
     weight_study,
 ):
     alpha = ju.MetricMaps(weight_study.maps["alpha"].ds.assign_attrs(pop_norm_per_km2=[5e4, 3e4]))
-    report = study_markdown(
-        replace(weight_study, is_sampled=False, maps={**weight_study.maps, "alpha": alpha})
+    report = sensitivity_markdown(
+        replace(weight_study, is_sampled=False, maps={**weight_study.maps, "alpha": alpha}), {}
     )
     assert "drawn by stratum" not in report
     assert "those of the table that was given" in report
-    alpha, beta = report.split("\n\n")[1].splitlines()[2:]
+    alpha, beta = report.split("\n\n")[2].splitlines()[2:]
     assert alpha.endswith("| 50,000 (day), 30,000 (night) |")
     assert beta.endswith("|  |")
 
@@ -209,7 +211,7 @@ def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_pop
 def test_no_text_of_a_figure_leaves_the_page_and_panels_that_are_compared_share_their_scale(
     weight_study,
 ):
-    for draw in sensitivity_study_figures(weight_study.tables, 2.0).values():
+    for draw in many_figures(weight_study.tables, 2.0).values():
         assert faults(draw()) == []
     figure = plot_nearest(weight_study.tables["summary"], 2.0)
     assert len({panel.get_xlim() for panel in figure.axes}) == 1
@@ -239,6 +241,7 @@ def made_weights(**regret: float) -> pd.DataFrame:
         "range": "long",
         "time_of_day": None,
         "elasticity": 0.5,
+        **dict.fromkeys(MORE, 0.0),
     }
     of_each = itertools.product("ab", range(40), regret)
     rows = [
@@ -255,12 +258,66 @@ def test_a_share_of_the_cost_is_no_measure_of_harm_and_regrets_have_the_interval
     table["elasticity"] = np.where(table.weight_name == "layer", 0.0, 0.5)
     rows = summarise(table, 2.0)
     first = shown_tables({"summary": rows})["by_all"].iloc[0]
-    assert (first.weight, first.share) == ("layer", 0.0)
-    assert first.regret == pytest.approx(0.98, abs=0.01)
+    assert (first.weight, first["share %"]) == ("layer", 0.0)
+    assert first["regret %"] == pytest.approx(98, abs=1)
     of_layer = table[table.weight_name == "layer"]
     row = rows[(rows.cut == "all") & (rows.weight_name == "layer")].iloc[0]
     interval = Clusters(of_layer.instance, of_layer.city).interval(of_layer.regret)
     assert (row.regret, row.regret_low, row.regret_high) == pytest.approx(tuple(interval))
+
+
+def said(table: pd.DataFrame, at_edge: float = 0.0) -> dict[WeightVerdict | SharedVerdict, Verdict]:
+    """Return the verdicts of a made table of weights by their kinds, the first of each kind."""
+    routes = pd.DataFrame({"at_edge": [at_edge] * 3 + [0.0] * 77})
+    tables = {"weights": table, "routes": routes}
+    verdicts = verdicts_of(tables, None, ju.studies.SensitivitySettings())
+    return {each.kind: each for each in reversed(verdicts)}
+
+
+def test_the_first_lines_know_which_weight_dominates_which_are_equal_and_which_changes_nothing():
+    table = made_weights(gps=0.5, lidar=0.01, risk=0.01, flat=0.0)
+    of_weight = table.groupby("weight_name").groups
+    table.loc[of_weight["risk"], "regret"] = table.loc[of_weight["lidar"], "regret"].to_numpy()
+    table.loc[of_weight["flat"], ["regret", "below", "above"]] = 0.0, np.nan, np.nan
+    verdicts = said(table)
+    more = verdicts[WeightVerdict.MATTERS_MORE]
+    assert more.what == ("gps", "lidar = risk")
+    assert more.low < 49 < more.high
+    assert verdicts[SharedVerdict.EQUAL].what == ("lidar", "risk")
+    assert verdicts[WeightVerdict.NO_CHANGE].what == ("flat",)
+    assert verdicts[WeightVerdict.COSTS].what == ("gps",)
+    assert WeightVerdict.TIED not in verdicts
+    assert SharedVerdict.BORDER not in verdicts
+
+
+def test_weights_that_cannot_be_told_apart_share_a_rank_and_routes_along_the_border_are_counted():
+    table = made_weights(gps=0.01, risk=0.0101)
+    table["more_at_edge"] = (table.instance < 4).astype(float)
+    verdicts = said(table)
+    tied = verdicts[WeightVerdict.TIED]
+    assert set(tied.what) == {"gps", "risk"}
+    assert tied.needed > 80
+    assert WeightVerdict.MATTERS_MORE not in verdicts
+    assert verdicts[SharedVerdict.BORDER].facts["count"] == 2 * 4
+    assert "one weight 2 times wrong" in verdicts[SharedVerdict.BORDER].sentence
+    assert said(table.assign(more_at_edge=0.0), 1.0)[SharedVerdict.BORDER].facts["count"] == 3
+
+
+def test_strata_with_fewer_than_ten_routes_are_merged_or_left_out_and_named():
+    table = made_weights(gps=0.01)
+    table["range"] = np.select(
+        [table.instance < 30, table.instance < 33, table.instance < 36],
+        ["long", "short", "middle"],
+        "far",
+    )
+    rows = summarise(table, 2.0)
+    of_range = rows[rows.cut == "range"].set_index("value").routes.to_dict()
+    assert of_range == {"long": 60, "others: far, middle, short": 20}
+    assert small_parts(table) == ["far (8)", "middle (6)", "short (6)"]
+    table["range"] = np.where(table.instance < 37, "long", "short")
+    rows = summarise(table, 2.0)
+    assert rows[rows.cut == "range"].value.tolist() == ["long"]
+    assert small_parts(table) == ["short (6)"]
 
 
 def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
@@ -284,10 +341,9 @@ def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
         .loc[["gps", "risk"]]
         .to_dict("records")
     )
-    assert np.isnan(gps["share"])
+    assert np.isnan(gps["share %"])
     assert gps["verdict"] == "not distinguishable from 0"
-    assert 0 <= gps["at most"] < 0.1
-    assert risk["share"] == pytest.approx(0.6, abs=0.05)
+    assert risk["share %"] == pytest.approx(60, abs=5)
     few = summarise_shares(pd.DataFrame(rows[:6]), 16)
     assert set(few.verdict) == {"too few routes"}
 
@@ -327,8 +383,8 @@ def test_a_share_above_one_is_not_resolved_and_so_many_samples_as_are_named_reso
     assert not ((few.share > 1) & (few.verdict == "clear")).any()
     tables = {"summary": summarise(made_weights(gps=0.01), 2.0), "sobol_summary": few.reset_index()}
     shown = shown_tables(tables)["sobol"].set_index("weight_name").loc["a"]
-    assert np.isnan(shown["share"])
-    assert shown["verdict"] == f"not resolved: about {named} samples should do"
+    assert np.isnan(shown["share %"])
+    assert (shown["verdict"], shown["samples_needed"]) == ("not resolved", named)
     enough = made_shares(jump, "abc", named).set_index(["weight_name", "kind"])
     total = enough.loc[("a", "total")]
     assert total.verdict == "clear"
@@ -347,7 +403,9 @@ def test_many_samples_resolve_every_share_of_a_sum_and_none_is_above_one(few_res
 
 
 def perturbed_rows(nominal, other, instances):
-    job = OnChangedMaps(nominal_at=partial(RouteRules().cost_map, nominal), change={"draw": 0})
+    job = OnChangedMaps(
+        nominal_at=partial(RouteRules().cost_map, nominal), change={"change": "other", "draw": 0}
+    )
     tasks = [InstanceRuns(instance, job.runs) for instance in instances]
     return pd.DataFrame(row for rows in solve_here(tasks, {"a": other}, job) for row in rows)
 
@@ -355,7 +413,7 @@ def perturbed_rows(nominal, other, instances):
 def test_routes_on_maps_made_anew_are_compared_both_ways(alpha):
     asked = sample_joined(alpha, 6, weights=[ju.Weights()]).assign(city="a").to_dict("records")
     same = perturbed_rows(alpha, alpha, asked)
-    assert (same[["is_other", "regret", "nominal_regret", "is_closed"]] == 0).all(axis=None)
+    assert (same[["is_other", "nominal_regret", "nominal_is_closed"]] == 0).all(axis=None)
     assert (same.overlap == 1).all()
     other = ju.MetricMaps(alpha.ds.assign(risk=1 - alpha.ds["risk"]))
     found = perturbed_rows(alpha, other, asked)
@@ -375,7 +433,7 @@ def test_routes_on_maps_made_anew_are_compared_both_ways(alpha):
 
 
 @pytest.fixture(scope="module")
-def of_parameters(tmp_path_factory) -> ju.studies.SensitivityStudy:
+def of_parameters(tmp_path_factory) -> ju.studies.Sensitivity:
     """Return a study of a town, with maps of other parameters, whose threshold of GDOP cannot be halved."""
     folder = tmp_path_factory.mktemp("town")
     region = {
@@ -389,9 +447,9 @@ def of_parameters(tmp_path_factory) -> ju.studies.SensitivityStudy:
         "gps": {"gdop_threshold": 1.9},
     }
     run_scenario(ju.Scenario.from_dict(sections), folder / "maps", progress=False)
-    chosen = ju.studies.SensitivityStudySettings(vary=("risk",), num_samples=0, has_parameters=True)
+    chosen = ju.studies.SensitivitySettings(vary=("risk",), num_samples=0, has_parameters=True)
     how = {"weights": ju.Weights(population=5.0), "settings": chosen, "progress": False}
-    return ju.studies.sensitivity_study({"town": folder / "maps"}, folder / "out", 9, **how)
+    return ju.studies.sensitivity({"town": folder / "maps"}, folder / "out", 9, **how)
 
 
 @pytest.mark.slow
@@ -415,7 +473,7 @@ def test_routes_on_maps_of_another_parameter_are_those_planned_on_maps_built_wit
     name = parameter.partition(".")[0]
     is_same = {each: nominal.ds[each].equals(other.ds[each]) for each in nominal.metrics}
     assert [each for each in is_same if not is_same[each]] == [name]
-    rows = of_parameters.parameters.query("parameter == @parameter and factor == @factor")
+    rows = of_parameters.changed[of_parameters.changed.change == f"{parameter} x {factor:g}"]
     asked = (
         of_parameters.instances.set_index("instance")
         .loc[rows.instance]
@@ -424,7 +482,7 @@ def test_routes_on_maps_of_another_parameter_are_those_planned_on_maps_built_wit
     )
     assert len(rows) == 9
     direct = perturbed_rows(nominal, other, [instance | {"city": "a"} for instance in asked])
-    columns = ["is_other", "overlap", "regret", "nominal_regret"]
+    columns = ["is_other", "overlap", "nominal_regret"]
     np.testing.assert_array_equal(rows[columns], direct[columns])
     assert rows.is_other.sum() > 0
 
@@ -433,19 +491,19 @@ def test_routes_on_maps_of_another_parameter_are_those_planned_on_maps_built_wit
 def test_every_number_that_metrics_have_a_gradient_by_is_halved_and_doubled_or_it_is_said_why_not(
     of_parameters,
 ):
-    rows = of_parameters.parameters
+    changes = set(of_parameters.changed.change) - {"time_of_day"}
     names = ["gps.gdop_threshold", "lidar.range_m", "risk.threshold_m"]
     names += ["population.gamma_commercial", "population.gamma_residential"]
-    asked = {*itertools.product(names, (0.5, 2.0))}
-    assert {*zip(rows.parameter, rows.factor, strict=True)} == asked - {("gps.gdop_threshold", 0.5)}
+    asked = {f"{name} x {factor:g}" for name, factor in itertools.product(names, (0.5, 2.0))}
+    assert changes == asked - {"gps.gdop_threshold x 0.5"}
     (reason,) = of_parameters.skipped
     assert reason.startswith(
         "town: gps.gdop_threshold x 0.5: gdop_threshold must be a number above 1"
     )
     report = (of_parameters.folder / "report.md").read_text()
     assert reason in report
-    assert "| lidar.range_m | 2 | all | 9 |" in report
-    assert "## Other heights" not in report
+    assert "| lidar.range_m x 2 | all | 9 |" in report
+    assert "| heights |" not in report
 
 
 @pytest.mark.slow
@@ -456,7 +514,7 @@ def test_rows_on_changed_maps_that_are_kept_are_not_made_again(of_parameters, mo
     monkeypatch.setattr("jaxurban.studies.weights.changed_maps.compute_maps", refuse)
     folder = of_parameters.folder
     study = partial(
-        ju.studies.sensitivity_study,
+        ju.studies.sensitivity,
         {"town": folder.parent / "maps"},
         folder,
         9,
@@ -464,7 +522,7 @@ def test_rows_on_changed_maps_that_are_kept_are_not_made_again(of_parameters, mo
         progress=False,
     )
     again = study(settings=of_parameters.settings)
-    pd.testing.assert_frame_equal(again.parameters, of_parameters.parameters)
+    pd.testing.assert_frame_equal(again.changed, of_parameters.changed)
     more = replace(of_parameters.settings, num_heights=1)
     with pytest.raises(AssertionError, match="made before"):
         study(settings=more)
@@ -475,10 +533,10 @@ def test_routes_on_maps_without_their_sources_are_studied_but_for_other_paramete
 ):
     chosen = replace(WEIGHT_STUDY, vary=("risk",), num_samples=0, has_parameters=True)
     routes = weight_study.instances.query("city == 'alpha'").iloc[:1]
-    found = ju.studies.sensitivity_study(
+    found = ju.studies.sensitivity(
         {"alpha": alpha}, tmp_path, routes, settings=chosen, progress=False
     )
-    assert found.parameters.empty
+    assert set(found.changed.change) == {"time_of_day"}
     assert "maps in memory do not name their sources" in found.skipped[0]
 
 
@@ -498,44 +556,43 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     options = [
         "--routes",
         8,
-        "--altitudes",
+        "--altitude",
         "20,60",
-        "--samples",
-        2,
+        "--study",
+        "num_samples=2",
         "--workers",
         1,
         "-o",
         out,
         "--json",
     ]
-    code, text, err = run(capsys, "sensitivity-study", *cities, *options)
+    code, text, err = run(capsys, "sensitivity", *cities, *options)
     assert code == 0, err
-    assert "about 64 samples (--samples 64) should resolve them" in err
+    assert "| not resolved | 64 |" in (out / "report.md").read_text()
     assert json.loads(text)["statuses"] == {"optimal": 2 * 8 * 2}
-    code, text, err = run(
-        capsys, "sensitivity-study", *cities, *options, "--heights", 2, "--parameters"
-    )
+    more = ("--study", "num_samples=2,num_heights=2,has_parameters=true")
+    code, text, err = run(capsys, "sensitivity", *cities, *options, *more)
     assert code == 0, err
-    assert len(json.loads(text)["tables"]["parameters_summary"]) == 5 * 2 * 5
-    told = json.loads(text)["tables"]["remade_summary"]
-    heights = next(row for row in told if row["of"] == "all")
+    told = [row for row in json.loads(text)["tables"]["changed_summary"] if row["of"] == "all"]
+    assert len(told) == 2 + 5 * 2
+    heights = next(row for row in told if row["change"] == "heights")
     assert heights["is_other"] == 0, "the synthetic city knows its heights"
-    assert "## Other heights" in (out / "report.md").read_text()
+    assert "| heights | all |" in (out / "report.md").read_text()
     places = ["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m"]
     pd.read_parquet(out / "instances.parquet").query("city == 'one'")[places].to_csv(
         tmp_path / "q.csv", index=False
     )
     options = [
-        "--queries",
+        "--routes",
         tmp_path / "q.csv",
-        "--samples",
-        0,
+        "--study",
+        "num_samples=0",
         "--workers",
         1,
         "-o",
         tmp_path / "q",
     ]
-    code, _, err = run(capsys, "sensitivity-study", cities[0], *options)
+    code, _, err = run(capsys, "sensitivity", cities[0], *options)
     assert code == 0, err
     assert len(pd.read_parquet(tmp_path / "q/routes/rows.parquet")) == 16
 

@@ -23,7 +23,9 @@ NO_MAPS = "It was not checked, as the path has no maps."
 UNSURE = "may meet what is of unknown height as it takes off or lands"
 ANOTHER_PLAN = "plan it again with greater clearances, or save it as .kml, .gpx or .geojson"
 MOVE = "let it be moved there by --snap without --ends-in-air (snap=True, on_ground=True)"
-FROM_ROOF = ", or pass --from-roof (from_roof=True) if the flight starts from that roof"
+FROM_ROOF = (
+    ", or pass from_roof=True (--mission from_roof=true) if the flight starts from that roof"
+)
 
 
 def check_own(route: PlannedPath, data: bytes) -> str:

@@ -64,7 +64,10 @@ def height_note(route: PlannedPath) -> str:
 
 
 def mission_note(
-    route: PlannedPath, end: MissionEnd, roofs: RoofFences | None, from_roof: bool
+    route: PlannedPath,
+    end: MissionEnd = "land",
+    roofs: RoofFences | None = None,
+    from_roof: bool = False,
 ) -> str:
     """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
     roof_note = "" if roofs is None else roofs.note
@@ -160,7 +163,7 @@ def roof_at_start_m(route: PlannedPath) -> float:
         if roof_m > 0 and not ("roof_guessed" in maps.ds and maps.m("roof_guessed")[cell]):
             return roof_m
     raise InputError(
-        "the start is not over a roof of known height: leave --from-roof (from_roof) out, or start elsewhere"
+        "the start is not over a roof of known height: leave from_roof (--mission) out, or start elsewhere"
     )
 
 

@@ -23,6 +23,7 @@ from jaxurban.metrics.variables import (
     GROUP_NUMBERS,
     ROOF_KIND,
     derived,
+    stored_name,
 )
 from jaxurban.paths.closed import obstacles_at
 from jaxurban.report.figures.frame import (
@@ -251,6 +252,7 @@ def plot_metric(
     """
     maps = as_maps(maps)
     variables = drawn_variables(maps)
+    name = name if name in variables else stored_name(name, maps.ds)
     variable = variables[one_of("a map to draw from these maps", name, variables)]
     if name == "obstacle":
         return plot_obstacles(maps, altitude_m=altitude_m, width=width)

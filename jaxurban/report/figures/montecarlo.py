@@ -1,12 +1,10 @@
-"""Pictures of a Monte Carlo benchmark: success, cost, and how GPS complements lidar."""
+"""Pictures of a Monte Carlo benchmark: cost, and how GPS complements lidar."""
 
-from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Stroke
@@ -26,7 +24,7 @@ from jaxurban.report.figures.style import (
     styled,
 )
 from jaxurban.report.write import Figures, joined_with_and
-from jaxurban.studies.montecarlo.analysis import range_names, weighted_rows
+from jaxurban.studies.montecarlo.analysis import weighted_rows
 
 SHARES = Colours(
     "Greys",
@@ -36,48 +34,7 @@ SHARES = Colours(
     ticks=(1e-4, 0.01, 1, 30),
 )
 CURVES_APART_PT = 1.5
-BARS_SHARE = 0.8  # of the distance between two ranges, which the bars of all planners take
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
-
-
-def _curves(
-    table: pd.DataFrame, axes: Sequence[Axes], planners: Iterable[str]
-) -> Iterator[tuple[Axes, int, str, pd.DataFrame]]:
-    """Yield what is drawn of each planner at each altitude, the lowest altitude first; panels get their titles.
-
-    Args:
-      table: rows with ``altitude_m`` and ``planner``.
-      axes: one panel per altitude.
-      planners: their names, in the order of their ranks.
-
-    Yields:
-      The panel of the altitude; the rank of the planner, from 0, and its name; the rows of both.
-    """
-    for panel, (altitude_m, rows) in zip(axes, table.groupby("altitude_m"), strict=True):
-        panel.set_title(f"{altitude_m:g} m")
-        for rank, planner in enumerate(planners):
-            yield panel, rank, planner, rows[rows.planner == planner]
-
-
-@styled
-def plot_success(success: pd.DataFrame) -> Figure:
-    """Return the share of joined pairs that each planner solved, by range: bars side by side, a panel per altitude.
-
-    Args:
-      success: from `analysis.success`: rows of ``planner``, ``altitude_m``, ``range`` and ``share_joined`` (0 to 1).
-    """
-    colours = planner_colours(sorted(success.planner.unique()))
-    ranges = range_names(success)
-    heading = "Share of the pairs with a known path for which each planner found one"
-    figure, axes = panels(success.altitude_m.nunique(), heading, shares_y=True)
-    x = np.arange(len(ranges))
-    width = BARS_SHARE / len(colours)  # of a bar
-    for panel, rank, planner, rows in _curves(success, axes, colours):
-        share = rows.set_index("range").share_joined.reindex(ranges)
-        panel.bar(x + rank * width, share, width, color=colours[planner], label=planner)
-        panel.set_xticks(x + (BARS_SHARE - width) / 2, ranges)  # below the middle of the bars
-    show_shares(figure, axes, "joined pairs solved (%)", (0.0, 1.04))
-    return figure
 
 
 @styled
@@ -94,20 +51,21 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     heading = "Share of pairs solved within a factor of the cheapest cost known"
     figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True)
     end = np.clip(table.ratio.quantile(0.98), *RATIO_AXIS)
-    for panel, rank, planner, rows in _curves(table, axes, colours):
-        # Curves are drawn side by side around their place, so that all are seen where they coincide.
-        apart_pt = ((len(colours) - 1) / 2 - rank) * CURVES_APART_PT
-        step_up(
-            panel,
-            rows.ratio.to_numpy(),
-            end,
-            color=colours[planner],
-            label=planner,
-            path_effects=[Stroke(offset=(-apart_pt, apart_pt))],
-            linewidth=1.4,
-        )
-        left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
-        panel.set(xlim=(left, end), xlabel="cost / cheapest known")
+    left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
+    for panel, (altitude_m, rows) in zip(axes, table.groupby("altitude_m"), strict=True):
+        for rank, (planner, colour) in enumerate(colours.items()):
+            # Curves are drawn side by side around their place, so that all are seen where they coincide.
+            apart_pt = ((len(colours) - 1) / 2 - rank) * CURVES_APART_PT
+            step_up(
+                panel,
+                rows.ratio[rows.planner == planner].to_numpy(),
+                end,
+                color=colour,
+                label=planner,
+                path_effects=[Stroke(offset=(-apart_pt, apart_pt))],
+                linewidth=1.4,
+            )
+        panel.set(xlim=(left, end), xlabel="cost / cheapest known", title=f"{altitude_m:g} m")
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
     show_shares(figure, axes, "joined pairs solved at that ratio (%)", (-0.04, 1.04))
     return figure
@@ -163,8 +121,6 @@ def study_figures(
     """
     weighted = weighted_rows(table)
     figures: Figures = {}
-    if len(tables["success"]):
-        figures["success"] = partial(plot_success, tables["success"])
     if weighted.has_path.any() and weighted.is_joined.any():
         figures["costs"] = partial(plot_costs, weighted[weighted.is_joined])
     if len(tables.get("complementarity", ())):

@@ -24,6 +24,7 @@ from jaxurban.metrics.variables import AUXILIARY_VARIABLES
 from jaxurban.paths.closed import OBSTACLE, causes_at, constraints_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import rules_on
+from jaxurban.planners.base import Status
 from jaxurban.report.figures.frame import (
     BLOCKED_COLOUR,
     ENDS,
@@ -59,10 +60,12 @@ from jaxurban.report.figures.metrics import (
 )
 from jaxurban.report.figures.style import Colours, Width
 from jaxurban.report.write import Figures, save
+from jaxurban.settings import DEFAULTS
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
 PLANNER_COLOURS = {
     "astar-dist": "#0b3c8c",
+    "astar": "#1b74d6",
     "astar-plus": "#3fa9f5",
     "bitstar-dist": "#b3400a",
     "bitstar-plus": "#ffb000",
@@ -213,11 +216,29 @@ def _named(paths: Paths, names: Sequence[str] | None) -> list[_NamedPath]:
         raise InputError(
             f"names must be a list of {len(planned)}, one for each path, got {names!r}"
         )
-    names = names or [path.search.planner for path in planned]
+    if names is None:
+        return _by_proof([_NamedPath(path, path.search.planner) for path in planned])
 
     # A dollar sign begins a formula.
     texts = [name.replace("$", r"\$") for name in names]
     return [_NamedPath(path, text) for path, text in zip(planned, texts, strict=True)]
+
+
+def _by_proof(named: Sequence[_NamedPath]) -> list[_NamedPath]:
+    """Return paths; those of one query that are all proven cheapest on one graph become one, ``astar``."""
+    together: dict[Any, list[_NamedPath]] = {}
+    for number, each in enumerate(named):
+        path = each.path
+        key: Any = number
+        if path.status is Status.OPTIMAL:
+            ends = path.xy_m[[0, -1]].tolist()
+            rules = {**path.settings, "budget_s": 0, "seed": 0}
+            key = str((each.place, path.search.graph, ends, rules, f"{path.cost:.9g}"))
+        together.setdefault(key, []).append(each)
+    return [
+        _NamedPath(same[0].path, same[0].name if len(same) == 1 else DEFAULTS.planner)
+        for same in together.values()
+    ]
 
 
 def _cost_panel(

@@ -5,8 +5,8 @@ All but `complementarity`, which is of the maps, take the rows joined with their
 benchmark's cost model.
 """
 
-import itertools
 from collections.abc import Sequence
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -16,14 +16,19 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.rows import BAD_INPUT, CRASHED, HAS_PATH
 from jaxurban.planners.base import Status
 from jaxurban.studies.bootstrap import Clusters, Interval, draws_of, interval_of, named
-from jaxurban.studies.montecarlo.sampling import KEY, RANGES
+from jaxurban.studies.decided import (
+    Conclusion,
+    Measure,
+    Ranking,
+    Verdict,
+    border_verdict,
+    concluded,
+    effects,
+    ranked,
+)
+from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
-CLOSE, NEAR = 1.01, 1.05  # ratios that count as the best, and as near it
-CHEAPER = 1e-3  # log of the ratio of two costs from which one is cheaper: 0.1 %
-OFTEN = 0.8  # least share of joined pairs solved for a planner's metrics to be compared
-NEAR_SHARE = 0.9  # least share of joined pairs near the best for a planner to be called near it
-RELIABLE = 0.95  # least share of joined pairs solved for a planner to be advised
 SENSORS = ("gps", "lidar")  # the metrics of two sensors that may complement each other
 GOOD = 0.5  # a sensor serves where its m is at least this
 TILE_M = 500.0  # cells nearer than this are much alike, so whole tiles are drawn
@@ -72,18 +77,12 @@ def weighted_rows(table: pd.DataFrame) -> pd.DataFrame:
     return table[table.objective == WEIGHTED]
 
 
-def range_names(table: pd.DataFrame) -> list[str]:
-    """Return the ranges that a table holds, from short to long, and after them any other name."""
-    names = dict.fromkeys([*RANGES, "any", *sorted(set(table.range))])
-    return [name for name in names if name in set(table.range)]
-
-
 def success(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the share of pairs for which each planner found a path, a row per planner, altitude and range.
+    """Return for how many pairs each planner found a path, a row per planner, altitude and range.
 
-    ``pairs``, ``paths``, ``joined`` and ``crashed`` are counts. ``share`` is the share of all pairs with a path,
-    ``share_joined`` that of the pairs that some path joins (NaN if there is none), and ``proven`` the share of all
-    pairs with the status optimal.
+    ``pairs``, ``paths``, ``joined`` and ``crashed`` are counts. ``solved`` is the percentage of the pairs that some
+    path joins for which the planner found one (NaN if there is none), and ``proven`` that of all pairs with the
+    status optimal.
 
     Args:
       table: from `with_instances`; only runs of the weighted objective count.
@@ -96,52 +95,10 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     result = grouped.agg(
         pairs=("has_path", "size"), paths=("has_path", "sum"), joined=("is_joined", "sum")
     )
-    result["share"] = result.paths / result.pairs
-    result["share_joined"] = (result.paths / result.joined).where(result.joined > 0)
-    result["proven"] = grouped.proven.mean()
+    result["solved"] = 100 * result.paths / result.joined.where(result.joined > 0)
+    result["proven"] = 100 * grouped.proven.mean()
     result["crashed"] = grouped.has_crashed.sum()
     return result.reset_index()
-
-
-def costs(table: pd.DataFrame) -> pd.DataFrame:
-    """Return how far above the cheapest path known each planner's paths are, a row per planner and altitude.
-
-    ``paths`` counts them; ``median``, ``p90`` and ``worst`` are of their ratios; ``best_share`` is the share with a
-    ratio of at most 1.01.
-
-    Args:
-      table: from `with_instances`; only paths of the weighted objective count.
-    """
-    rows = weighted_rows(table)
-    rows = rows[rows.has_path]
-    grouped = rows.groupby(["planner", "altitude_m"]).ratio
-    return grouped.agg(
-        paths="size",
-        median="median",
-        p90=lambda ratio: ratio.quantile(0.9),
-        worst="max",
-        best_share=lambda ratio: (ratio <= CLOSE).mean(),
-    ).reset_index()
-
-
-def usage(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the means of length, detour and m of each metric along paths, by planner, objective and altitude.
-
-    Only instances that all of these planners solved count, so that means compare like with like; ``instances`` is their
-    number. A planner that solves fewer than four joined pairs in five is left out, since it solves the easy ones.
-
-    Args:
-      table: from `with_instances`.
-    """
-    # The planners that solve most joined pairs, and the instances and altitudes at which all of their runs have a path.
-    solved = weighted_rows(table[table.is_joined]).groupby("planner").has_path.mean()
-    table = table[table.planner.isin(solved.index[solved >= OFTEN])]
-    num_runs = len(table[["planner", "objective"]].drop_duplicates())
-    result = table[table.has_path]
-    result = result[result.groupby(KEY).has_path.transform("size") == num_runs]
-    runs = result.groupby(["planner", "objective", "altitude_m"])
-    means = runs[[*fact_columns(result), "detour"]].mean()
-    return means.assign(instances=runs.size()).reset_index()
 
 
 def times(table: pd.DataFrame) -> pd.DataFrame:
@@ -164,55 +121,12 @@ def times(table: pd.DataFrame) -> pd.DataFrame:
     ).reset_index()
 
 
-def paired(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each two planners, compared on the pairs of places that both solved (``both``, a count).
-
-    ``cost_ratio`` is the geometric mean of the first planner's cost over the second's, ``low`` and ``high`` its 95 %
-    interval by the bootstrap over instances (all altitudes of an instance drawn together). ``first_cheaper`` and
-    ``second_cheaper`` are the shares of pairs on which one is cheaper by more than 0.1 %. ``only_first`` and
-    ``only_second`` count pairs that one planner alone solved. ``time_ratio`` is the median ratio of seconds.
-
-    Args:
-      table: from `with_instances`; only runs of the weighted objective count.
-    """
-    # Costs and seconds, a row per pair of places and a column per planner.
-    rows = weighted_rows(table)
-    cost = rows[rows.has_path].pivot(index=KEY, columns="planner", values="cost")
-    cost = cost.reindex(columns=sorted(rows.planner.unique()))
-    is_solved = cost.notna()
-    seconds = rows.pivot(index=KEY, columns="planner", values="elapsed_s")
-
-    # A row for each two planners; ratios are over the pairs that both solved at a cost above 0.
-    result = []
-    for first, second in itertools.combinations(cost.columns, 2):
-        both = cost[(cost[first] > 0) & (cost[second] > 0)]
-        log_ratio = np.log(both[first] / both[second])
-        interval = Clusters(both.index.get_level_values("instance")).interval(log_ratio)
-        time_ratio = (seconds[first] / seconds[second]).loc[both.index]
-        result.append(
-            {
-                "first": first,
-                "second": second,
-                "both": len(both),
-                "only_first": (is_solved[first] & ~is_solved[second]).sum(),
-                "only_second": (is_solved[second] & ~is_solved[first]).sum(),
-                "cost_ratio": np.exp(interval.value),
-                "low": np.exp(interval.low),
-                "high": np.exp(interval.high),
-                "first_cheaper": (log_ratio < -CHEAPER).mean(),
-                "second_cheaper": (log_ratio > CHEAPER).mean(),
-                "time_ratio": time_ratio.median(),
-            }
-        )
-    return pd.DataFrame(result)
-
-
 def objectives(table: pd.DataFrame) -> pd.DataFrame:
     """Return what it costs to fly the shortest path instead of the cheapest one, a row per planner and altitude.
 
-    Distance-only runs are compared with weighted runs of the same planner. ``cost_ratio`` and ``length_ratio`` are
-    geometric means of distance-only over weighted; ``m_NAME_change`` is the mean difference of a metric, distance-only
-    less weighted. Each has its 95 % interval over instances. The table is empty where no planner ran both ways.
+    Distance-only runs are compared with weighted runs of the same planner: ``cost_change`` in percent,
+    ``length_m_change`` in metres and ``m_NAME_change`` are means of distance-only less weighted, each with its 95 %
+    interval over instances. The table is empty where no planner ran both ways.
 
     Args:
       table: from `with_instances`.
@@ -232,94 +146,89 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _changes(pairs: pd.DataFrame) -> dict[str, float]:
-    """Return how the shortest paths differ from the cheapest ones: means with their intervals over instances.
+    """Return how the shortest paths differ from the cheapest ones: means with intervals that hold at once.
 
-    Costs and lengths are compared by their ratio (``cost_ratio``, ``length_ratio``), metrics by their difference
-    (``m_NAME_change``). A number that some path lacks, or whose ratio is not finite, has no columns.
+    Each is a column ``NAME_change``, that of the cost in percent. A number that some path lacks has none.
 
     Args:
       pairs: a row per instance, indexed by `KEY`; columns of two levels, a number of a path and the objective.
     """
-    clusters = Clusters(pairs.index.get_level_values("instance"))
+    names = pairs.columns.unique(0)
+    changes = pd.DataFrame({name: pairs[name, DISTANCE] - pairs[name, WEIGHTED] for name in names})
+    changes["cost"] *= 100 / pairs["cost", WEIGHTED]
+    changes = changes.dropna(axis=1)
+    table = effects(changes, Clusters(pairs.index.get_level_values("instance")))
     columns: dict[str, float] = {}
-    for name in pairs.columns.unique(0):
-        shortest = pairs[name, DISTANCE]
-        cheapest = pairs[name, WEIGHTED]
-        is_ratio = name in ("cost", "length_m")
-        change = np.log(shortest / cheapest) if is_ratio else shortest - cheapest
-        if not np.isfinite(change).all():
-            continue
-        interval = clusters.interval(change)
-        if is_ratio:
-            ratios = Interval(*np.exp(interval).tolist())
-            columns |= named(f"{name.removesuffix('_m')}_ratio", ratios)
-        else:
-            columns |= named(f"{name}_change", interval)
+    rows: Any = table.itertuples()
+    for row in rows:
+        columns |= named(f"{row.Index}_change", Interval(row.size, row.low, row.high))
     return columns
 
 
-def choices(table: pd.DataFrame) -> pd.DataFrame:
-    """Return which planner to choose, a row per altitude and range, from low to high and from short to long.
+class StudyVerdict(Enum):
+    """What a benchmark decides of two planners, by each measure of `rankings`."""
 
-    ``reliable`` names the planners that solve at least 95 % of the joined pairs; ``cheapest`` is the one of these with
-    the lowest mean ratio. ``fastest_near_best`` has the lowest median time among the planners that are within 5 % of
-    the best on nine pairs of ten. ``straight_enough`` is the share of joined pairs where the straight line is free and
-    within 5 % of the best.
+    COSTS_MORE = "{last} costs {size} more than {first} where both find a path ({n})"
+    FINDS_LESS = "{last} finds a path for {size} fewer of the joined pairs than {first} ({n})"
+
+
+def rankings(table: pd.DataFrame) -> dict[str, Ranking]:
+    """Return the planners in groups of ranks by ``"cost"`` and by ``"pairs solved"``.
+
+    Costs are compared by their ratio on the pairs that both planners solved, in percent; pairs solved in percentage
+    points of the joined pairs. All intervals hold at once; instances are drawn, with all their altitudes. Without a
+    joined pair there is no rank.
 
     Args:
       table: from `with_instances`; only runs of the weighted objective count.
     """
     rows = weighted_rows(table)
-    rows = rows[rows.is_joined]
-    rows = rows.assign(is_near=rows.ratio <= NEAR)
-    result = []
-    for altitude_m, at_altitude in rows.groupby("altitude_m"):
-        for name in range_names(at_altitude):
-            pairs = at_altitude[at_altitude.range == name]
-            result.append({"altitude_m": altitude_m, "range": name, **_choice(pairs)})
-    return pd.DataFrame(result)
+    rows = rows[rows.is_joined].set_index([*KEY, "planner"])
+    if rows.empty:
+        return {}
+    costs = rows.cost.where(rows.has_path & (rows.cost > 0)).unstack("planner")
+    percent = 100.0 * rows.has_path.unstack("planner").astype(float)
+    measures = {
+        "cost": Measure(costs, is_ratio=True),
+        "pairs solved": Measure(percent, "percentage points", is_better_high=True),
+    }
+    return ranked(measures, Clusters(costs.index.get_level_values("instance")))
 
 
-def _choice(pairs: pd.DataFrame) -> dict[str, Any]:
-    """Return which planners to choose for the joined pairs of one altitude and range (see `choices`).
+def best_rows(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the row of the cheapest path of each pair of places that has one; rows of the weighted objective."""
+    rows = weighted_rows(table)
+    rows = rows[rows.has_path & rows.cost.notna()]
+    return rows.loc[rows.groupby(KEY).cost.idxmin()]
 
-    Where no planner qualifies its name is ``"none"``, and its number NaN. Of equal planners the faster one is named.
+
+def conclusion(table: pd.DataFrame) -> Conclusion:
+    """Return what a benchmark decided: the planners' ranks, and how many routes the border may have made.
 
     Args:
-      pairs: a row per pair and planner, with ``is_near``: within 5 % of the best.
+      table: from `with_instances`.
     """
-    facts = pairs.groupby("planner").agg(
-        pairs=("ratio", "size"),
-        share=("has_path", "mean"),
-        ratio=("ratio", "mean"),
-        near=("is_near", "mean"),
-        median_s=("elapsed_s", "median"),
+    verdicts: list[Verdict] = []
+    for kind, ranking in zip(StudyVerdict, rankings(table).values(), strict=False):
+        verdicts += ranking.verdicts(kind, "instances")
+    best = best_rows(table)
+    verdicts += border_verdict(best.at_edge.to_numpy() == 1)
+    return concluded(
+        verdicts,
+        more="jaxurban study SCENARIO -o DIR --set study.instances={needed}",
+        wider='jaxurban study SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
+        done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --planner PLANNER",
     )
-
-    # The fastest planner comes first, as `idxmin` takes the first of equal ones.
-    facts = facts.sort_values("median_s")
-    reliable = facts[facts.share >= RELIABLE]
-    near = facts[facts.near >= NEAR_SHARE]
-    return {
-        "joined_pairs": int(facts.pairs.max()),
-        "reliable": ", ".join(sorted(reliable.index)) or "none",
-        # Rounded, so that equal costs stay equal where they were added up in another order.
-        "cheapest": reliable.ratio.round(9).idxmin() if len(reliable) else "none",
-        "cheapest_ratio": reliable.ratio.min(),
-        "fastest_near_best": near.median_s.idxmin() if len(near) else "none",
-        "fastest_s": near.median_s.min(),
-        "straight_enough": facts.near.get("ptp", np.nan),
-    }
 
 
 def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.DataFrame:
     """Return whether GPS and lidar complement each other over the free cells, the paper's main finding.
 
     A row for each altitude, lowest first. ``gps``, ``lidar``: mean m. ``gps_serves``, ``lidar_serves``,
-    ``either_serves``: shares of cells with m >= 0.5. ``lidar_where_gps_poor``, ``lidar_where_gps_good``: mean m_lidar
-    where m_gps < 0.5 and elsewhere. ``correlation`` of the two, with its 95 % interval (``_low``, ``_high``) by the
-    bootstrap over tiles of 500 m, the same tiles drawn at every altitude. NaN where a metric does not vary, GPS is poor
-    in fewer than 0.5 % of the cells, or there are fewer than eight tiles.
+    ``either_serves``: percentages of cells with m >= 0.5. ``lidar_where_gps_poor``, ``lidar_where_gps_good``: mean
+    m_lidar where m_gps < 0.5 and elsewhere. ``correlation`` of the two, with its 95 % interval (``_low``, ``_high``) by
+    the bootstrap over tiles of 500 m, the same tiles drawn at every altitude. NaN where a metric does not vary, GPS is
+    poor in fewer than 0.5 % of the cells, or there are fewer than eight tiles.
 
     Args:
       maps: with gps and lidar; of the GPS maps the first time counts.
@@ -351,9 +260,9 @@ def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.Dat
             "altitude_m": altitude_m,
             "gps": gps.mean(),
             "lidar": lidar.mean(),
-            "gps_serves": gps_serves.mean(),
-            "lidar_serves": lidar_serves.mean(),
-            "either_serves": (gps_serves | lidar_serves).mean(),
+            "gps_serves": 100 * gps_serves.mean(),
+            "lidar_serves": 100 * lidar_serves.mean(),
+            "either_serves": 100 * (gps_serves | lidar_serves).mean(),
             "lidar_where_gps_poor": in_poor,
             "lidar_where_gps_good": in_good,
         }

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Unpack
 
@@ -26,6 +27,7 @@ from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress, reporting
 from jaxurban.samples.synthetic import demo_cover_for_bounds
+from jaxurban.studies.decided import Conclusion
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
@@ -69,10 +71,16 @@ class BenchmarkResult(Result):
 
     @property
     def facts(self) -> dict[str, str]:
-        """Where it is kept, the number of instances, and how many runs ended with each status."""
+        """What it decided, where it is kept, its instances, and how many runs ended with each status."""
         counts = self.rows.status.value_counts()
         runs = ", ".join(f"{status} {count}" for status, count in counts.items())
-        return {"folder": str(self.folder), "instances": str(len(self.instances)), "runs": runs}
+        facts = {"folder": str(self.folder), "instances": str(len(self.instances)), "runs": runs}
+        return self.decided.facts | facts
+
+    @cached_property
+    def decided(self) -> Conclusion:
+        """Which planners are cheaper and find more paths, which cannot be told apart, and what to run next."""
+        return analysis.conclusion(self.table)
 
     @property
     def table(self) -> pd.DataFrame:

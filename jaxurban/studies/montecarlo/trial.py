@@ -20,6 +20,7 @@ from jaxurban.planners.base import Cell, Path
 from jaxurban.planners.corners import with_corner_bound
 from jaxurban.planners.registry import EXACT_PLANNERS, PLANNERS, SAMPLING_PLANNERS, find_planner
 from jaxurban.settings import CostKind
+from jaxurban.studies.decided import edge_band, is_at_edge
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics
 from jaxurban.world.grid import Grid
 
@@ -100,12 +101,16 @@ class Benchmark(RouteJob):
         if any(objective == WEIGHTED for _, objective in runs):
             problems[WEIGHTED] = shortest.with_weights(weights)
         seed = self.seed_of(int(instance["instance"]))
+        band = edge_band(cost_map.maps)
         for planner, objective in runs:
             problem = problems[objective]
             try:
                 # Alone: no planner may profit from tables that an earlier one has made.
                 path = limited(planner, self.study)(problem.alone(), seed=seed)
-                yield _facts(cost_map, with_corner_bound(problem, path), weights, planner)
+                facts = _facts(cost_map, with_corner_bound(problem, path), weights, planner)
+                if "cost" in facts:
+                    facts["at_edge"] = float(is_at_edge(path.points_m, cost_map.grid, band))
+                yield facts
             except Exception as error:  # whatever a planner does, the benchmark goes on
                 yield {**failure(error), "status": CRASHED}
 
@@ -123,6 +128,7 @@ NUMBERS = (
     "gap",
     "length_m",
     "detour",
+    "at_edge",
 )
 
 

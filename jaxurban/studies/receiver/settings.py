@@ -20,12 +20,12 @@ class ReceiverSettings:
     """How a receiver's log is set against maps. None of these is fitted to a log.
 
     Attributes:
-      antenna_height_m: of the receiver's antenna above the ground.
+      antenna_height_m: height of the receiver's antenna above the ground.
       sky_step_s: seconds for which satellites stand still; each epoch takes the sky nearest to it in time.
       block_m: length of the blocks of track that the bootstrap of the scores draws.
       known: where the buildings are known: ``"city"``, what their file covers; a number, this many metres around the
         track; a vector file of polygons; or ``"all"``, which judges rays that leave the data as if nothing stood there.
-      systems: letters of the satellite systems that are taken, as ``("G", "E")``; empty, all of the log.
+      systems: letters of the satellite systems that are taken, such as ``"G"`` and ``"E"``; empty, all of the log.
       seed: of the bootstrap.
 
     Raises:

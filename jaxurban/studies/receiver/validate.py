@@ -6,10 +6,10 @@ strong signals. Neighbouring rows of a drive are alike, so intervals are of the 
 """
 
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from jaxurban.checks import typed
@@ -20,12 +20,23 @@ from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, Report, reporting
 from jaxurban.satellites.track import NUM_VISIBLE
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, interval_columns
+from jaxurban.studies.decided import Conclusion, Verdict, concluded, runs_needed
 from jaxurban.studies.receiver.agreement import PlaceSky, example_skies, judged_rows, strong_dbhz
 from jaxurban.studies.receiver.drive import Drive
 from jaxurban.studies.receiver.logs import ReceiverLog
 from jaxurban.studies.receiver.satellites import NUM_HEARD, counted
 from jaxurban.studies.receiver.scores import score_table
 from jaxurban.studies.receiver.settings import EVERYWHERE, ReceiverSettings
+
+CHANCE = 0.5  # AUC of what does not tell seen from hidden
+
+
+class SkyVerdict(Enum):
+    """What a log decides of the city's hidden satellites; an AUC of 0.5 is that of chance."""
+
+    MORE = "{what}: what the maps see is heard more strongly than what they hide, AUC {size} ({n})"
+    LESS = "{what}: what the maps see is heard less strongly than what they hide, AUC {size} ({n})"
+    OPEN = "{what}: whether what the maps see is heard more strongly is open, AUC {size} ({n})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,6 +93,25 @@ class ReceiverValidation(Result):
     guesses: Guesses = ()
 
     @property
+    def decided(self) -> Conclusion:
+        """Whether satellites that the maps see are heard more strongly, all together and each for itself."""
+        num = self.summary["num_blocks"]
+        noun = f"blocks of {self.settings.block_m:g} m of track"
+        verdicts = []
+        for name, what in (("auc", "All satellites"), ("within", "Each satellite for itself")):
+            value, low, high = self.score()[interval_columns(name)]
+            needed = runs_needed(value - CHANCE, low - CHANCE, high - CHANCE, num)
+            kind = SkyVerdict.MORE if value > CHANCE else SkyVerdict.LESS
+            if needed:
+                kind = SkyVerdict.OPEN
+            verdicts.append(Verdict(kind, (what,), value, low, high, num, "", noun, needed))
+        return concluded(
+            verdicts,
+            more="jaxurban validate SCENARIO LONGER_LOG -o OUT",
+            done="jaxurban validate SCENARIO OTHER_LOG -o OUT",
+        )
+
+    @property
     def known_cautions(self) -> list[Caution]:
         """The guesses that the result rests on, which rows were not judged, and which satellites were left out."""
         cautions = [Caution(guess.sentence, "guess", "guess") for guess in self.guesses]
@@ -110,24 +140,14 @@ class ReceiverValidation(Result):
 
     @property
     def facts(self) -> dict[str, str]:
-        """The log, the track and its cells, and how seen and hidden satellites are separated."""
+        """What it decided, the log, the track and its cells, and how many rows were judged."""
         summary = self.summary
-        judged = f"{summary['judged']:,} of {summary['rows']:,} rows judged"
-        auc = self._interval("auc")
-        within = self._interval("within")
-        return {
+        return self.decided.facts | {
             "log": self.log.name,
             "track": f"{summary['length_m'] / 1000:.2f} km, {summary['epochs']} epochs",
             "cells": f"{summary['resolution_m']:g} m",
-            "AUC": f"{auc}, within satellites {within}, {judged}",
+            "rows judged": f"{summary['judged']:,} of {summary['rows']:,}",
         }
-
-    def _interval(self, name: str) -> str:
-        value, low, high = self.score()[interval_columns(name)]
-        if np.isnan(value):
-            return "not defined"
-        text = f"{value:.2f}"
-        return text if np.isnan(low) else f"{text} ({low:.2f} to {high:.2f})"
 
     def score(self, which: str = "all") -> pd.Series:
         """Return the scores of a choice of rows.

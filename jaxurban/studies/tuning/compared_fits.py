@@ -9,12 +9,19 @@ import pandas as pd
 
 from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
-from jaxurban.studies.bootstrap import Clusters, named
+from jaxurban.studies.bootstrap import Clusters, Interval, interval_columns, named
+from jaxurban.studies.decided import FEWEST_TO_HOLD_OUT, USUAL_SHARE, Conclusion
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import check_alike
 from jaxurban.studies.route_pool import FitSettings, pool_of_fit
 from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
-from jaxurban.studies.tuning.weight_fit import DISTRUSTED, WeightFit, WeightScale, fit_weights
+from jaxurban.studies.tuning.weight_fit import (
+    DISTRUSTED,
+    WeightFit,
+    WeightScale,
+    fit_conclusion,
+    fit_weights,
+)
 
 ALL = "all"
 SPLIT = 0  # stream of random numbers
@@ -31,6 +38,7 @@ class FitComparison:
         ``held_out_regret``, by which share held-out routes that are not bad cost more than the cheapest ones under
         the fit, the mean, with its interval (``_low``, ``_high``; some 90 %, as regrets are skewed) over pairs of ends
         within these cities.
+      num_tested: pairs of ends of the held-out routes that are not bad.
       is_held_out: ``[N]`` bool: the routes that no fit saw.
       is_bad: ``[N]`` bool: under the first fit a route costs so much more than the cheapest one that it hardly counts.
 
@@ -45,15 +53,24 @@ class FitComparison:
 
     fits: Mapping[str, WeightFit]
     table: pd.DataFrame
+    num_tested: int
     is_held_out: np.ndarray
     is_bad: np.ndarray
+
+    @property
+    def decided(self) -> Conclusion:
+        """How far routes that no fit saw follow the first one, and which of its weights the routes show."""
+        if not self.num_tested:
+            return self.fits[ALL].decided
+        tested = Interval(*self.table[interval_columns("held_out_regret")].iloc[0])
+        return fit_conclusion(self.fits[ALL], tested, self.num_tested)
 
 
 @typed
 def compare_fits(
     cities: Mapping[str, Sequence[Demonstration]],
     *,
-    hold_out: float = 0.25,
+    hold_out: float | None = None,
     by_city: bool = True,
     scale: WeightScale = "simplex",
     bootstrap: int = 200,
@@ -67,7 +84,8 @@ def compare_fits(
 
     Args:
       cities: demonstrations by city.
-      hold_out: share of the routes of each city, from 0 to 0.9; without any, regrets on held-out routes are not known.
+      hold_out: share of the routes of each city, from 0 to 0.9; left out, a quarter from 16 routes on, of fewer none.
+        Without any, regrets on held-out routes are not known.
       by_city: make the further fits.
       scale, bootstrap, settings: as in `fit_weights`; of the searches, the state file keeps those of the first fit.
 
@@ -92,8 +110,6 @@ def compare_fits(
     # The arguments.
     settings = settings or FitSettings()
     at_least("bootstrap", bootstrap)
-    if not 0 <= hold_out <= MOST_HELD_OUT:
-        raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {hold_out}")
 
     # All N routes, city after city: the city of each, and the number of its pair of ends. Routes between the same ends
     # are held out together.
@@ -143,23 +159,30 @@ def compare_fits(
             row[f"w_{weight}"] = value
         interval = clusters.interval(regret[is_judged, number])
         rows.append(row | named("held_out_regret", interval))
-    return FitComparison(fits, pd.DataFrame(rows), is_held_out, is_bad)
+    num_tested = len(np.unique(group[is_judged]))
+    return FitComparison(fits, pd.DataFrame(rows), num_tested, is_held_out, is_bad)
 
 
-def split(city: np.ndarray, group: np.ndarray, share: float, seed: int) -> np.ndarray:
+def split(city: np.ndarray, group: np.ndarray, share: float | None, seed: int) -> np.ndarray:
     """Return ``[N]`` bool: whether each route is held out.
 
-    In every city about the given share of the groups is held out, at least one unless the share is 0.
+    In every city about the given share of the groups is held out, at least one unless the share is 0. Without a share
+    it is `USUAL_SHARE` where there are `FEWEST_TO_HOLD_OUT` groups and two in every city, else 0.
 
     Args:
       city: ``[N]`` name of each route's city.
       group: ``[N]`` number of each route's group, whose members stay together.
-      share: from 0 up, below 1.
+      share: from 0 to `MOST_HELD_OUT`; None: not given.
       seed: of the draw.
 
     Raises:
-      InputError: a city without a group left to be fitted.
+      InputError: a city without a group left to be fitted, or another share.
     """
+    if share is None:
+        sizes = [len(np.unique(group[city == name])) for name in np.unique(city)]
+        share = USUAL_SHARE if sum(sizes) >= FEWEST_TO_HOLD_OUT and min(sizes) > 1 else 0.0
+    if not 0 <= share <= MOST_HELD_OUT:
+        raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {share}")
     is_held_out = np.zeros(len(city), bool)
     rng = np.random.default_rng([SPLIT, seed])
     for name in dict.fromkeys(city.tolist()):
@@ -170,7 +193,7 @@ def split(city: np.ndarray, group: np.ndarray, share: float, seed: int) -> np.nd
         if num >= len(groups):
             raise InputError(
                 f"the routes of {name!r} join {len(groups)} pair(s) of ends, too few to hold some out: give more "
-                "routes, or a smaller share (--hold-out, hold_out=)"
+                "routes, or a smaller share (hold_out)"
             )
         is_held_out |= np.isin(group, groups[:num])
     return is_held_out

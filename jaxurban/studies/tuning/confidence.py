@@ -1,6 +1,7 @@
 """How sure fitted weights are: what demonstrations cannot show, and what others would have shown."""
 
 from collections.abc import Iterator, Sequence
+from enum import Enum
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from jaxurban.programs import kept_jit
+from jaxurban.studies.decided import Verdict
 from jaxurban.studies.queries import RouteQuery, maps_of
 from jaxurban.studies.route_pool import NOT_A_ROUTE, RoutePool
 from jaxurban.studies.tuning.fenchel_young import FitTask, descend, fenchel_young_loss
@@ -22,6 +24,27 @@ COMPETES = 0.1  # routes within this share of the cheapest are those that weight
 UNSEEN = 1e-6
 MUCH = 0.1  # of the largest: a weight with such a part in a direction belongs to it
 LEAST_SHARE = 0.01  # of a random walk's features
+
+
+class FitVerdict(Enum):
+    """What a fit to routes decides, and what the routes cannot say."""
+
+    FOLLOWED = (
+        "Routes that the fit did not see cost {size} more than the cheapest under the weights ({n})"
+    )
+    UNTESTED = "How much more than the cheapest other routes cost is open: {size} on {n}"
+    WEIGHED = "The weight of {first} is {size}"
+    CONSTANT = "{first} is the same everywhere on these maps: its weight cannot be identified and is left at 0"
+    STEPS = (
+        "{first} is the same everywhere on these maps: its weight cannot be identified and stands for the steps that "
+        "diagonals save under the cost model 'cell'"
+    )
+    WIDE = "The weight of {first} is hardly pinned down, as others move with it: {size}"
+    UNSEEN = "The weight of {first} cannot be identified: no competing route differs in it"
+    MIXED = "The weights of {what} cannot be distinguished: {num} of their mixtures change no comparison"
+    ONE_RATE = (
+        "The weights of {what} cannot be distinguished: competing routes trade them at one rate"
+    )
 
 
 def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) -> np.ndarray:
@@ -173,8 +196,8 @@ def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray
 
 def indistinct_weights(
     pool: RoutePool, unit: np.ndarray, weights: np.ndarray, is_fitted: np.ndarray
-) -> Iterator[str]:
-    """Yield sentences on the weights, alone or mixed, about which the demonstrations say nothing.
+) -> Iterator[Verdict]:
+    """Yield what is not decided of the weights, alone or mixed, about which the demonstrations say nothing.
 
     Routes that cost within 10 % of the cheapest one compete with it. C is the covariance of their features less those
     of the cheapest. A direction v with v C v = 0 can be added to W without changing any comparison between these
@@ -200,20 +223,17 @@ def indistinct_weights(
     variances = np.diag(covariance)
     is_seen = variances > UNSEEN * max(float(np.max(variances)), 1e-300)
     for name in names[~is_seen]:
-        yield f"The weight of {name} cannot be identified: no competing route differs in it."
+        yield Verdict(FitVerdict.UNSEEN, (str(name),), needed=np.nan)
     if is_seen.sum() < 2:
         return
 
-    # Mixtures of the others that change nothing: eigenvectors of C with next to no variance. A sentence names the
+    # Mixtures of the others that change nothing: eigenvectors of C with next to no variance. Named are the
     # weights that have much part in them.
     values, directions = np.linalg.eigh(covariance[np.ix_(is_seen, is_seen)])
     unseen = directions[:, values <= UNSEEN * values[-1]]
     num = unseen.shape[1]
     if num:
         part = np.linalg.norm(unseen, axis=1)
-        involved = names[is_seen][part > MUCH * part.max()]
-        listed = f"{', '.join(involved[:-1])} and {involved[-1]}"
-        why = f"{num} of their mixtures change no comparison"
-        if num == 1:
-            why = "competing routes trade them at one rate"
-        yield f"The weights of {listed} cannot be distinguished: {why}."
+        involved = tuple(names[is_seen][part > MUCH * part.max()].tolist())
+        kind = FitVerdict.MIXED if num > 1 else FitVerdict.ONE_RATE
+        yield Verdict(kind, involved, needed=np.nan, facts={"num": num})

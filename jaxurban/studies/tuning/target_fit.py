@@ -1,7 +1,6 @@
 """Weights fitted to targets: those under which routes meet them, and which targets conflict."""
 
 import itertools
-import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,11 +14,12 @@ import optax
 import pandas as pd
 from jaxtyping import Array, Float
 
-from jaxurban.checks import finite, one_of, typed
+from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.programs import kept_jit
 from jaxurban.progress import Report, reporting
+from jaxurban.studies.decided import Conclusion
 from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
 from jaxurban.studies.route_pool import (
     FitSettings,
@@ -28,8 +28,11 @@ from jaxurban.studies.route_pool import (
     known_route_sums,
     pool_of_fit,
 )
+from jaxurban.studies.tuning.compared_fits import split
 from jaxurban.studies.tuning.confidence import feature_units
 from jaxurban.studies.tuning.fenchel_young import adam
+from jaxurban.studies.tuning.target import DETOUR, MEAN, Target
+from jaxurban.studies.tuning.tested import tested_outcomes, wish_conclusion
 
 FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step
 FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first to the last step
@@ -43,74 +46,7 @@ NUM_TRIED, NUM_PROBES = 3, 8  # weights planned for, and searches around the bes
 PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to the farthest
 PATIENCE = 3  # rounds that better nothing
 NUM_AT_ONCE = 64  # candidates judged at once, to bound memory
-MEAN = "mean_"  # of a metric along a route
 MET = 0.02  # a target is met if it is missed by no more than this share
-
-
-@typed
-@dataclass(frozen=True)
-class Target:
-    """A bound on an outcome of routes, averaged over a set of queries.
-
-    Attributes:
-      outcome: ``detour``: mean of length over the shortest route's, less 1. ``mean_gps`` and the like: mean over
-        queries of the mean m along the route. ``people``: sum over queries of the integral of m_population along the
-        route, as a share of the shortest routes'. ``length_m``: mean length.
-      sense: ``">="`` or ``"<="``.
-      value: the bound.
-
-    Raises:
-      InputError: another outcome or sense, or a value that no route reaches or that is no number.
-
-    Examples:
-      >>> str(ju.fit.Target("detour", "<=", 0.15))
-      'detour <= 0.15'
-    """
-
-    outcome: str
-    sense: str
-    value: float
-
-    def __post_init__(self) -> None:
-        """Check outcome, sense and value; ``mean_NAME`` is checked against the maps' metrics by `fit_targets`."""
-        if not self.outcome.startswith(MEAN):
-            one_of(
-                "outcome", self.outcome, ("mean_NAME of a metric", "detour", "length_m", "people")
-            )
-        one_of("the sense of a target", self.sense, (">=", "<="))
-        if not np.isfinite(self.value):
-            raise InputError(f"target {str(self)!r} must end in a finite number")
-        most = 1.0 if self.outcome.startswith(MEAN) else np.inf
-        is_too_high = self.sense == ">=" and self.value > most
-        is_too_low = self.sense == "<=" and self.value < 0
-        if is_too_high or is_too_low:
-            raise InputError(
-                f"target {str(self)!r} cannot be met: {self.outcome} lies between 0 and {most:g}"
-            )
-
-    @classmethod
-    @typed
-    def parse(cls, text: str) -> "Target":
-        """Return the target that a text such as ``"mean_gps>=0.8"`` names.
-
-        Returns:
-          The target; spaces in the text do not count.
-
-        Raises:
-          InputError: another form, or a value that is not a number.
-
-        Examples:
-          >>> ju.fit.Target.parse("mean_gps >= 0.8")
-          Target(outcome='mean_gps', sense='>=', value=0.8)
-        """
-        match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(\S+)\s*", text)
-        if not match:
-            raise InputError(f"target {text!r} must read like mean_gps>=0.8 or detour<=0.15")
-        outcome, sense, number = match.groups()
-        return cls(outcome, sense, finite(f"the bound of target {text!r}", number))
-
-    def __str__(self) -> str:
-        return f"{self.outcome} {self.sense} {self.value:g}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +64,10 @@ class TargetFit:
       is_in_budget: the search ended by itself; a larger budget would find no more.
       curve: a row per round: the least loss so far, its outcomes, and the searches made.
       num_plans, elapsed_s: searches and wall time.
+      targets: as wished.
+      is_held_out: ``[Q]`` bool: the queries that the weights were not fitted to.
+      tested: on those queries, or on all where none is held out: what routes are like without the wish and with it, a
+        row per target and then per other outcome (`jaxurban.studies.tuning.tested.tested_outcomes`).
 
     Examples:
       >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
@@ -146,12 +86,21 @@ class TargetFit:
     curve: pd.DataFrame
     num_plans: int
     elapsed_s: float
+    targets: tuple[Target, ...]
+    is_held_out: np.ndarray
+    tested: pd.DataFrame
+
+    @property
+    def decided(self) -> Conclusion:
+        """Whether the targets hold on other routes, and what the wish costs in every other layer."""
+        num = len(self.is_held_out)
+        return wish_conclusion(self.tested, self.targets, int(self.is_held_out.sum()), num)
 
     @property
     def sentence(self) -> str:
         """Whether all targets are met; if not, which are missed, which conflict, and whether the budget ran out."""
         if self.is_met:
-            return "All targets are met."
+            return "All targets are met on the routes that the weights were fitted to."
         rows = self.outcomes[~self.outcomes.is_met].iterrows()
         missed = [f"{target} (reached {row.reached:.4g})" for target, row in rows]
         sentence = f"Not all targets were met; the best trade-off found misses {', '.join(missed)}."
@@ -169,6 +118,8 @@ def fit_targets(
     targets: Sequence[Target | str],
     *,
     start: Weights | None = None,
+    before: Weights | None = None,
+    hold_out: float | None = None,
     settings: FitSettings | None = None,
 ) -> TargetFit:
     """Return weights under which planned routes meet targets, or the best trade-off and which targets conflict.
@@ -183,12 +134,16 @@ def fit_targets(
       queries: from `jaxurban.studies.make_queries`; lists of several maps may be joined with ``+``.
       targets: bounds on outcomes, or texts such as ``"mean_gps>=0.8"``.
       start: where to begin; equal shares of the shortest routes' cost if left out.
+      before: the weights without the wish, whose routes are compared; `Weights()` if left out.
+      hold_out: share of the queries, from 0 to 0.9, that the weights are not fitted to, to test them; left out, a
+        quarter from 16 on, of fewer none. Queries between the same cells stay together.
       settings: of the search; rounds are counted for each set of targets that is tried, the budget is for all.
 
     Returns:
       ``weights``, which `jaxurban.plan` takes and which sum to 1; ``is_met``, and ``sentence``, which names what is
       missed; ``outcomes``, a row per target: its bound, what the shortest routes give, and what was reached; ``alone``,
-      the same when each target was the only one; and ``conflicts``, pairs that were not met together.
+      the same when each target was the only one; ``conflicts``, pairs that were not met together; and ``decided``,
+      whether the targets hold on other routes and what the wish costs there (``tested``).
 
     Raises:
       InputError: no queries or targets, a target for a metric that the maps lack, or a wrong setting.
@@ -197,7 +152,7 @@ def fit_targets(
       >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
       >>> fit = ju.fit.fit_targets(queries, ["detour<=0.2"], settings=ju.fit.FitSettings(max_rounds=2))
       >>> fit.sentence
-      'All targets are met.'
+      'All targets are met on the routes that the weights were fitted to.'
       >>> fit.outcomes[["wished", "shortest", "is_met"]]
                      wished  shortest  is_met
       wish
@@ -209,6 +164,10 @@ def fit_targets(
     names = check_alike(queries)
     wanted = _wanted(targets, names)
     weights = None if start is None else start.vector(names)
+    group, _ = pd.factorize(pd.Series([(query.start, query.goal) for query in queries]))
+    is_held_out = split(np.zeros(len(queries)), group, hold_out, settings.seed)
+    held_out = list(itertools.compress(queries, is_held_out))
+    queries = list(itertools.compress(queries, ~is_held_out))
     pool = pool_of_fit(
         settings,
         queries,
@@ -245,10 +204,12 @@ def fit_targets(
                 alone = [search.run([target]) for target in wanted]
             conflicts = search.conflicts(best, alone)
         at_shortest = search.outcomes(search.shortest)
-    weights = np.exp(best.log_weights)
+    fitted = np.exp(best.log_weights)
+    fitted /= fitted.sum()
+    without = (before or Weights()).vector(names)
     return TargetFit(
         names=names,
-        weights=weights_from(queries[0], weights / weights.sum()),
+        weights=weights_from(queries[0], fitted),
         outcomes=_outcome_table(wanted, [best] * len(wanted), at_shortest),
         alone=_outcome_table(wanted, alone, at_shortest),
         conflicts=tuple(conflicts),
@@ -257,6 +218,9 @@ def fit_targets(
         is_in_budget=time.perf_counter() - begin_s <= settings.budget_s,
         num_plans=pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
+        targets=wanted,
+        is_held_out=is_held_out,
+        tested=tested_outcomes(held_out or queries, wanted, np.stack([without, fitted])),
     )
 
 
@@ -274,7 +238,7 @@ def _wanted(targets: Sequence[Target | str], names: Sequence[str]) -> tuple[Targ
         raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
 
     # The outcomes that routes on these maps have; each target must name one of them.
-    outcomes = ["detour", "length_m", *(MEAN + name for name in names[1:])]
+    outcomes = [DETOUR, "length_m", *(MEAN + name for name in names[1:])]
     if "population" in names:
         outcomes.insert(2, "people")
     wanted = []
@@ -340,8 +304,7 @@ class _Search(NamedTuple):
           active: the targets that count.
         """
         # [T] of each target 1 for at least, -1 for at most and 0 where it does not count, and its bound.
-        senses = {">=": 1.0, "<=": -1.0}
-        signs = [senses[each.sense] if each in active else 0.0 for each in self.targets]
+        signs = [each.sign if each in active else 0.0 for each in self.targets]
         sign = jnp.array(signs)
         bound = jnp.array([target.value for target in self.targets])
 
@@ -458,7 +421,7 @@ def outcome_values(
     for target in targets:
         if target.outcome == "length_m":
             value = jnp.mean(length_m)
-        elif target.outcome == "detour":
+        elif target.outcome == DETOUR:
             value = jnp.mean(length_m / shortest_m) - 1
         elif target.outcome == "people":
             column = num + list(names).index("population")

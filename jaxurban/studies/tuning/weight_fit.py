@@ -3,8 +3,7 @@
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from html import escape
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -13,10 +12,18 @@ import pandas as pd
 from jaxurban.checks import at_least, typed
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, Interval
+from jaxurban.studies.decided import (
+    FEWEST_TO_HOLD_OUT,
+    USUAL_SHARE,
+    Conclusion,
+    Verdict,
+    concluded,
+)
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import RouteQuery, check_alike, maps_of, weights_from
 from jaxurban.studies.route_pool import FitSettings
-from jaxurban.studies.tuning.confidence import constant_layers, indistinct_weights
+from jaxurban.studies.tuning.confidence import FitVerdict, constant_layers, indistinct_weights
 from jaxurban.studies.tuning.weight_fit_rounds import FitUnderWay, refitted, run_rounds, scaled
 
 WeightScale = Literal["simplex", "distance"]
@@ -49,7 +56,7 @@ class WeightFit:
       curve: a row for each round: noise, loss, mean_regret, worst_gap (by which share a searched route was cheaper than
         all known ones), new_routes, num_plans, elapsed_s and each weight.
       sentence: whether the demonstrations follow these metrics at all: what a reader must know before the weights.
-      unidentified: sentences on weights that the demonstrations say nothing about.
+      verdicts: what the demonstrations do not decide of the weights; ``unidentified`` has their sentences.
       warnings: further sentences that a reader must know.
       num_plans: number of searches made.
       elapsed_s: wall time of this run; a resumed one takes its first searches from the state file.
@@ -72,7 +79,7 @@ class WeightFit:
     best_mean_regret: float
     curve: pd.DataFrame
     sentence: str
-    unidentified: tuple[str, ...]
+    verdicts: tuple[Verdict, ...]
     warnings: tuple[str, ...]
     num_plans: int
     elapsed_s: float
@@ -84,19 +91,25 @@ class WeightFit:
         return self.weights.vector(self.names)
 
     @property
+    def unidentified(self) -> tuple[str, ...]:
+        """Sentences on weights that the demonstrations say nothing about."""
+        return tuple(f"{verdict.sentence}." for verdict in self.verdicts)
+
+    @property
+    def decided(self) -> Conclusion:
+        """Which weights are known, and which are not; `compare_fits` tests them on routes that the fit did not see."""
+        return fit_conclusion(self)
+
+    @property
     def cautions(self) -> list[str]:
         """What the demonstrations cannot say: ``unidentified`` and ``warnings``, but for the ``sentence``."""
         sentences = self.unidentified + self.warnings
         return [sentence for sentence in sentences if sentence != self.sentence]
 
     def __repr__(self) -> str:
+        lines = [f"{name}: {text}" for name, text in self.decided.facts.items()]
         table = self.table.to_string(float_format="{:.3g}".format)
-        return "\n".join([self.sentence, *self.cautions, table])
-
-    def _repr_html_(self) -> str:
-        cautions = "".join(f"<li>{escape(sentence)}</li>" for sentence in self.cautions)
-        table = self.table.to_html(float_format="{:.3g}".format)
-        return f"<p><b>{escape(self.sentence)}</b></p><ul>{cautions}</ul>{table}"
+        return "\n".join([*lines, self.sentence, *self.cautions, table])
 
 
 @typed
@@ -180,9 +193,12 @@ def fit_weights(
     )
 
     # Sentences on what the fit says, and on what it cannot say.
-    unidentified = [_constant_sentence(name, name in left_out) for name in constant]
-    unidentified += _wide_sentences(table.drop(index=list(constant)))
-    unidentified += indistinct_weights(fit.pool, fit.unit, fit.weights, is_fitted)
+    open_weights = []
+    for name in constant:
+        kind = FitVerdict.CONSTANT if name in left_out else FitVerdict.STEPS
+        open_weights.append(Verdict(kind, (name,), needed=np.inf))
+    open_weights += _wide_weights(table.drop(index=list(constant)))
+    open_weights += indistinct_weights(fit.pool, fit.unit, fit.weights, is_fitted)
     # The regret without what redrawing on the grid adds: that of the cheapest route near each demonstration.
     near = np.array([each.cheapest_near(fit.weights) for each in demonstrations])
     near_regret = (1 + regret) * (near @ fit.weights) / (fit.demo @ fit.weights) - 1
@@ -202,7 +218,7 @@ def fit_weights(
         best_mean_regret=best,
         curve=curve,
         sentence=verdict,
-        unidentified=tuple(unidentified),
+        verdicts=tuple(open_weights),
         warnings=tuple(warnings),
         num_plans=fit.pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
@@ -226,27 +242,48 @@ def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str
     return {name for name in constant if not np.any([cost_of(name) for cost_of in costs])}
 
 
-def _constant_sentence(name: str, is_left_out: bool) -> str:
-    """Return a sentence on the weight of a layer that is constant, and on what the fit did with it.
+def _wide_weights(table: pd.DataFrame) -> list[Verdict]:
+    """Return which weights of a table the demonstrations leave open within a wide range."""
+    is_wide = np.isfinite(table.high) & (table.high > 0) & (table.low < table.high / WIDE)
+    return [_weight_verdict(FitVerdict.WIDE, row, np.nan) for row in table[is_wide].itertuples()]
+
+
+def _weight_verdict(kind: FitVerdict, row: Any, needed: float = 0.0) -> Verdict:
+    """Return the verdict on a weight, by its row of a table."""
+    return Verdict(kind, (row.Index,), row.weight, row.low, row.high, needed=needed)
+
+
+def fit_conclusion(
+    fit: WeightFit, tested: Interval | None = None, num_tested: int = 0
+) -> Conclusion:
+    """Return what a fit to routes decided: how far others follow it, and which weights they show.
 
     Args:
-      name: of the layer.
-      is_left_out: whether the fit left its weight at 0.
+      fit: to the routes.
+      tested: mean share by which routes that it did not see cost more than the cheapest ones; None: there are none.
+      num_tested: how many these are, by pairs of ends.
     """
-    outcome = "stands for the steps that diagonals save under the cost model 'cell'"
-    if is_left_out:
-        outcome = "is left at 0"
-    return f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified and {outcome}."
+    needed = 0.0
+    percent = 100 * np.array(tested or (fit.regret.mean(), np.nan, np.nan))
+    if np.isnan(percent[1]):
+        needed = FEWEST_GROUPS if tested else FEWEST_TO_HOLD_OUT
+    kind = FitVerdict.UNTESTED if needed else FitVerdict.FOLLOWED
+    num = num_tested or len(fit.regret)
+    size, low, high = percent.tolist()
+    verdicts = [Verdict(kind, (), size, low, high, num, "%", needed=needed)]
 
-
-def _wide_sentences(table: pd.DataFrame) -> list[str]:
-    """Return a sentence for each weight of a table that the demonstrations leave open within a wide range."""
-    is_wide = np.isfinite(table.high) & (table.high > 0) & (table.low < table.high / WIDE)
-    return [
-        f"The weight of {row.Index} is hardly pinned down: with other weights to match, nothing from {row.low:.3g} to "
-        f"{row.high:.3g} is ruled out; the value given is one of them."
-        for row in table[is_wide].itertuples()
-    ]
+    # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
+    unknown = {name for verdict in fit.verdicts for name in verdict.what}
+    table = fit.table.sort_values("share_of_cost", ascending=False)
+    known = table[(table.low > 0) & ~table.index.isin(unknown)]
+    verdicts += [_weight_verdict(FitVerdict.WEIGHED, row) for row in known.itertuples()]
+    verdicts += fit.verdicts
+    return concluded(
+        verdicts,
+        more="jaxurban tune DIR --sample {needed} --pilot gps=1,risk=2 -o OUT",
+        factor=1 / USUAL_SHARE if tested else 1.0,
+        done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --weights ...",
+    )
 
 
 def _verdict_sentence(

@@ -16,8 +16,8 @@ import pandas as pd
 
 from jaxurban.studies.queries import outcomes_of
 from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.weights.settings import EXACT
 
-EXACT = 1e-9  # relative: costs this close are equal, being sums of thousands of terms in float64
 EMPTY = 1e-12  # of the whole: a cell smaller than this is a point or an edge, where routes only tie
 SAME_POINT = 1e-10  # shares of the corners that differ by less are one point
 TIE = 1e-14  # relative: what is left of equal costs by rounding, where no breakpoint but the nearest is looked for

@@ -1,18 +1,18 @@
-"""Routes of a weight study on changed maps: of perturbed heights, and of other parameters of the metrics.
+"""Routes of a weight study on changed maps: of other times, perturbed heights and other parameters of the metrics.
 
-Maps are made again with heights drawn as well as they are known, and with each parameter of the metrics halved and
-doubled.
+The maps of other times are there; others are made again, with heights drawn as well as they are known, and with each
+parameter of the metrics halved and doubled.
 """
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import is_dataclass, replace
 from functools import lru_cache, partial
 from itertools import chain, product
 from pathlib import Path
-from typing import Any
 
 import jax
+import numpy as np
 import pandas as pd
 
 from jaxurban.errors import GuessWarning, InputError
@@ -31,14 +31,16 @@ from jaxurban.studies.weights.cities import Cities, in_order
 from jaxurban.studies.weights.routes import (
     ROUTE_KEY,
     OnChangedMaps,
-    SensitivityStudySettings,
     typed_columns,
 )
+from jaxurban.studies.weights.settings import SensitivitySettings
+from jaxurban.studies.weights.summary import HEIGHTS
 
 PARAMETER_FACTORS = (0.5, 2.0)
-# Changes of maps: the subfolder of their rows, and the columns that name one.
-REMADE, PARAMETERS = "remade", "parameters"
-CHANGES = {REMADE: ("draw",), PARAMETERS: ("parameter", "factor")}
+# The columns that name changed maps: what is changed, and which of several such maps it is, from 0.
+CHANGE = ("change", "draw")
+CHANGED_FOLDER = "changed"  # of the rows
+MakeMaps = Callable[[], MetricMaps]
 
 
 def add_changed_rows(
@@ -47,67 +49,111 @@ def add_changed_rows(
     instances: pd.DataFrame,
     scenarios: Mapping[str, Scenario] | None,
     report: Report,
-) -> tuple[dict[str, pd.DataFrame], tuple[str, ...]]:
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """Make the rows of routes on changed maps that a study lacks, and keep them in its folder.
 
     Each changed map is made once, for all routes of its city. What is made is kept even if an error ends the call.
 
     Args:
       folder: of the study.
-      cities: of the study; their settings say which changes are wanted.
+      cities: of the study; the settings of their job say which changes are wanted.
       instances: its routes, with a column ``city``.
       scenarios: by city; for a city without one the record in the maps' folder names the sources.
       report: of the progress.
 
     Returns:
-      The rows, by the name of the subfolder in which they are kept (`CHANGES`; none of changes that are not wanted),
-      and sentences on maps that could not be made.
+      The rows, and sentences on maps that could not be made.
     """
-    settings = cities.settings
-    wanted = {REMADE: settings.num_heights, PARAMETERS: settings.has_parameters}
-    stores = {
-        kind: RowStore(folder / kind / ROWS_FILE, (*names, *ROUTE_KEY), has_parts=True)
-        for kind, names in CHANGES.items()
-        if wanted[kind]
-    }
+    job = cities.job
+    store = RowStore(folder / CHANGED_FOLDER / ROWS_FILE, (*CHANGE, *ROUTE_KEY), has_parts=True)
 
     # Rows are saved with all their columns, whatever happens.
     skipped = []
     try:
-        for city, maps in cities.maps.items() if stores else ():
-            try:
-                task = _map_task(cities.sources[city], maps, (scenarios or {}).get(city))
-            except InputError as error:
-                LOG.warning(f"no other maps of {city} are made: {error}")
-                skipped.append(f"{city}: {error}")
-                continue
+        for city, maps in cities.maps.items():
             of_city = instances[instances.city == city]
-            nominal_at = lru_cache(maxsize=1)(partial(settings.cost_map, maps))
-            for kind, change, changed in changed_tasks(task, settings, report, city):
-                if isinstance(changed, InputError):  # a change that a metric refuses
-                    skipped.append(f"{city}: {changed}")
+            nominal_at = lru_cache(maxsize=1)(partial(job.cost_map, maps))
+            scenario = (scenarios or {}).get(city)
+            changes = changed_maps(city, cities.sources[city], maps, job.settings, scenario, report)
+            for change, draw, make in changes:
+                if isinstance(make, InputError):  # a change that a metric refuses, or lost sources
+                    skipped.append(f"{city}: {make}")
                     continue
 
                 # The maps are made only if a route lacks its row.
-                job = OnChangedMaps(
+                on_changed = OnChangedMaps(
                     nominal_at=nominal_at,
-                    change=change,
-                    cost_model=settings.cost_model,
-                    constraints=settings.constraints,
+                    change=dict(zip(CHANGE, (change, draw), strict=True)),
+                    snap=job.snap,
+                    cost_model=job.cost_model,
+                    constraints=job.constraints,
                 )
-                lacking = runs_to_do(of_city, job, stores[kind])
+                lacking = runs_to_do(of_city, on_changed, store)
                 if lacking:
-                    made = _made(changed).with_obstacles(maps.obstacles)
-                    rows = solve_here(lacking, {city: made}, job)
-                    stores[kind].add(list(chain.from_iterable(rows)))
+                    made = make().with_obstacles(maps.obstacles)
+                    rows = solve_here(lacking, {city: made}, on_changed)
+                    store.add(list(chain.from_iterable(rows)))
     finally:
-        for store in stores.values():
+        if len(store):
             store.save(typed_columns(store.rows))
-    tables = {
-        kind: in_order(read_table(store.file, "rows of changed maps"), cities.maps)
-        for kind, store in stores.items()
-    }
-    return tables, tuple(skipped)
+    if not len(store):
+        return pd.DataFrame(), tuple(skipped)
+    return in_order(read_table(store.file, "rows of changed maps"), cities.maps), tuple(skipped)
+
+
+def changed_maps(
+    city: str,
+    source: Source,
+    maps: MetricMaps,
+    settings: SensitivitySettings,
+    scenario: Scenario | None,
+    report: Report,
+) -> Iterator[tuple[str, int, MakeMaps | InputError]]:
+    """Yield of each change of maps its name and number (`CHANGE`), and what makes them, or the error why none does.
+
+    The first ones are the maps themselves with the times, or the times of day, of one dimension moved on by one or
+    more, so that each time has the map of another one.
+
+    Args:
+      city: of the maps, for the report.
+      source: of the maps, whose folder names the sources where there is no scenario.
+      maps: as they are.
+      settings: of the study: how often heights are drawn, by which seed, and whether parameters change.
+      scenario: of the city, or None.
+      report: of the progress.
+    """
+    for name in ("time", "time_of_day"):
+        for step in range(1, maps.ds.sizes.get(name, 1)):
+            yield name, step, partial(_moved_on, maps, name, step)
+    if not (settings.num_heights or settings.has_parameters):
+        return
+    try:
+        task = _map_task(source, maps, scenario)
+    except InputError as error:
+        LOG.warning(f"no other maps of {city} are made: {error}")
+        yield "", 0, error
+        return
+
+    plain = plain_task(task)
+    std_m = task.params.heights.height_std_m
+    draws = report.over(f"perturbed maps of {city}", range(settings.num_heights))
+    cities = perturbed_cities(task.city, std_m, settings.num_heights, settings.seed)
+    for draw, drawn in zip(draws, cities, strict=True):
+        yield HEIGHTS, draw, partial(_made, replace(plain, city=drawn))
+    names = parameters_of(task) if settings.has_parameters else ()
+    pairs = [*product(names, PARAMETER_FACTORS)]
+    for name, factor in report.over(f"maps of other parameters of {city}", pairs):
+        change = f"{name} x {factor:g}"
+        try:
+            yield change, 0, partial(_made, with_parameter(plain, name, factor))
+        except InputError as error:
+            yield change, 0, InputError(f"{change}: {error}")
+
+
+def _moved_on(maps: MetricMaps, name: str, step: int) -> MetricMaps:
+    """Return maps in which each of the times of a dimension has the map of the one that comes ``step`` after it."""
+    order = np.roll(np.arange(maps.ds.sizes[name]), -step)
+    return replace(maps, ds=maps.ds.isel({name: order}).assign_coords({name: maps.ds[name]}))
 
 
 def _made(task: MapTask) -> MetricMaps:
@@ -115,34 +161,6 @@ def _made(task: MapTask) -> MetricMaps:
     check_fits(task)
     with warnings.catch_warnings(action="ignore", category=GuessWarning):
         return compute_maps(task)
-
-
-def changed_tasks(
-    task: MapTask, settings: SensitivityStudySettings, report: Report, city: str
-) -> Iterator[tuple[str, dict[str, Any], MapTask | InputError]]:
-    """Yield of each change of maps its kind, the columns that name it, and its task, or the error why there is none.
-
-    Args:
-      task: that made the maps as they are.
-      settings: of the study: how often heights are drawn, by which seed, and whether parameters change.
-      report: of the progress.
-      city: of the maps, for the report.
-    """
-    plain = plain_task(task)
-    std_m = task.params.heights.height_std_m
-    draws = report.over(f"perturbed maps of {city}", range(settings.num_heights))
-    cities = perturbed_cities(task.city, std_m, settings.num_heights, settings.seed)
-    for draw, drawn in zip(draws, cities, strict=True):
-        yield REMADE, {"draw": draw}, replace(plain, city=drawn)
-    names = parameters_of(task) if settings.has_parameters else ()
-    pairs = [*product(names, PARAMETER_FACTORS)]
-    for name, factor in report.over(f"maps of other parameters of {city}", pairs):
-        changed: MapTask | InputError
-        try:
-            changed = with_parameter(plain, name, factor)
-        except InputError as error:
-            changed = InputError(f"{name} x {factor:g}: {error}")
-        yield PARAMETERS, {"parameter": name, "factor": factor}, changed
 
 
 def plain_task(task: MapTask) -> MapTask:

@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from jaxurban.checks import one_of
 from jaxurban.errors import InputError
 from jaxurban.io.tables import fingerprint
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights, WeightsLike, check_held
-from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
+from jaxurban.paths.queries import WEIGHT_PREFIX, QueriesLike, read_queries, table_of
 from jaxurban.paths.rows import MapsFolder, Source
 from jaxurban.planners.cost import CostModel
 from jaxurban.studies.montecarlo.sampling import (
@@ -22,12 +23,7 @@ from jaxurban.studies.montecarlo.sampling import (
     weighed_metrics,
     weight_columns,
 )
-from jaxurban.studies.weights.routes import (
-    CITY_NUMBER,
-    ROUTE_KEY,
-    SensitivityStudySettings,
-    seed_at,
-)
+from jaxurban.studies.weights.routes import ROUTE_KEY, SEED, WeightsJob, seed_at
 from jaxurban.studies.weights.sobol import varied_columns
 
 
@@ -37,13 +33,13 @@ class Cities(NamedTuple):
     Attributes:
       sources: what workers open.
       maps: opened.
-      settings: with the cost model and the constraints of the maps' scenarios where the caller named none.
+      job: with the cost model and the constraints of the maps' scenarios where the caller named none.
       weights: of sampled routes, and of those that name none.
     """
 
     sources: dict[str, Source]
     maps: dict[str, MetricMaps]
-    settings: SensitivityStudySettings
+    job: WeightsJob
     weights: Weights
 
     @property
@@ -57,11 +53,14 @@ def named_sources(sources: Any) -> dict[str, Source]:
     """Return the maps of each city by its name; maps in memory as they are, folders as `MapsFolder`.
 
     Args:
-      sources: maps or folders by name, or one or several folders, which are called by their own names.
+      sources: maps or folders by name, or one or several folders, which are called by their own names; maps in memory
+        alone are called ``"maps"``.
 
     Raises:
-      InputError: there is no city, two have one name, or maps in memory have none.
+      InputError: there is no city, two have one name, or several maps in memory have none.
     """
+    if isinstance(sources, MetricMaps):
+        sources = {"maps": sources}
     is_named = isinstance(sources, Mapping)
     if isinstance(sources, str | Path | MapsFolder):
         sources = [sources]
@@ -85,30 +84,28 @@ def named_sources(sources: Any) -> dict[str, Source]:
     return dict(zip(names, opened, strict=True))
 
 
-def open_cities(
-    sources: Mapping[str, Source], settings: SensitivityStudySettings, weights: WeightsLike
-) -> Cities:
+def open_cities(sources: Mapping[str, Source], job: WeightsJob, weights: WeightsLike) -> Cities:
     """Return the cities of a study, their maps opened.
 
     Args:
       sources: by the cities' names; at least one.
-      settings: of the study; the scenarios of the maps fill in what they leave out.
+      job: of the study; the scenarios of the maps fill in what its rules leave out.
       weights: of sampled routes; None: those of the maps' scenarios.
 
     Raises:
       InputError: maps whose scenarios differ in what all routes share, or whose costs cannot be compared; a weight of a
         metric that no city has.
     """
-    # By city: the source that workers open, the maps, and the rules (settings and weights) under its own scenario.
+    # By city: the source that workers open, the maps, and the rules (job and weights) under its own scenario.
     opened = {}
     all_maps = {}
     rules = {}
     for city, source in sources.items():
         maps = source if isinstance(source, MetricMaps) else source.open()
-        maps, settings_of_city = settings.under(maps)
+        maps, job_of_city = job.under(maps)
         all_maps[city] = maps
         opened[city] = maps if isinstance(source, MetricMaps) else source.at(maps)
-        rules[city] = settings_of_city, Weights.of(weights, maps.recorded.get("weights"))
+        rules[city] = job_of_city, Weights.of(weights, maps.recorded.get("weights"))
 
     # One set of rules and comparable costs for all cities.
     first = next(iter(rules))
@@ -116,41 +113,48 @@ def open_cities(
         if other != rules[first]:
             raise InputError(
                 f"the scenarios of {first} and {city} give other weights, cost models, clearances or vehicles: name "
-                "them for both (--weights, --cost-model, --clearance, --vertical-clearance), or make them the same"
+                "them for both (--weights, --rules), or make them the same"
             )
-    common_settings, common_weights = rules[first]
+    common_job, common_weights = rules[first]
     resolutions_m = {maps.grid.resolution_m for maps in all_maps.values()}
-    if CostModel.of(common_settings.cost_model).kind == "cell" and len(resolutions_m) > 1:
+    if CostModel.of(common_job.cost_model).kind == "cell" and len(resolutions_m) > 1:
         listed = ", ".join(f"{side_m:g} m" for side_m in sorted(resolutions_m))
         raise InputError(
             f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
         )
-    cities = Cities(opened, all_maps, common_settings, common_weights)
+    cities = Cities(opened, all_maps, common_job, common_weights)
     check_held(weights, cities.metrics)
     return cities
 
 
 def routes_of_cities(
-    cities: Cities, routes: pd.DataFrame | int, altitudes_m: Sequence[float] | None
+    cities: Cities, routes: QueriesLike | int, altitudes_m: Sequence[float] | None
 ) -> pd.DataFrame:
-    """Return the routes of all cities as instances with the columns ``city`` and `CITY_NUMBER`.
+    """Return the routes of all cities as instances with the columns ``city`` and `SEED`.
 
     There is a column for the weight of every metric of any city, with 0 where a city lacks the metric.
 
     Args:
       cities: of the study.
-      routes: a table of routes, or how many to sample in each city.
-      altitudes_m: of sampled routes; None: all that the maps hold.
+      routes: a table of routes, pairs of places, or how many to sample in each city.
+      altitudes_m: of sampled routes and of pairs; None: all that the maps hold.
 
     Raises:
       InputError: routes for other cities or maps, an invalid weight, or altitudes beside a table.
     """
-    settings = cities.settings
+    job = cities.job
+    settings = job.settings
     weights = cities.weights.checked(cities.metrics).to_dict()
+    if isinstance(routes, pd.DataFrame) and altitudes_m is not None:
+        raise InputError(
+            "altitudes_m is of sampled routes and of pairs: a table of routes names its own"
+        )
+    if not isinstance(routes, int | pd.DataFrame):  # pairs of places, at each of the altitudes
+        first = next(iter(cities.maps.values()))
+        altitudes = pd.DataFrame({"altitude_m": altitudes_m or first.altitudes_m})
+        routes = table_of(routes).merge(altitudes, how="cross")
     if isinstance(routes, pd.DataFrame):
         _check_cities(routes, cities.maps)
-        if altitudes_m is not None:
-            raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
 
     # The routes of each city: those of the table, or sampled ones.
     parts = []
@@ -168,14 +172,17 @@ def routes_of_cities(
                 routes,
                 altitudes_m=altitudes_m,
                 weights=[of_city],
-                cost_model=settings.cost_model,
-                constraints=settings.constraints,
+                cost_model=job.cost_model,
+                constraints=job.constraints,
                 seed=seed_at(settings.seed, number),
             )
-        parts.append(part.assign(city=city, **{CITY_NUMBER: number}))
+        seeds = [seed_at(settings.seed, number, int(each)) % 2**31 for each in part.instance]
+        parts.append(part.assign(city=city, **{SEED: seeds}))
 
-    # One table with a column for each weight.
+    # One table with a column for each weight. The draws of a single route have the seed of the study itself.
     table = pd.concat(parts, ignore_index=True)
+    if len(table) == 1:
+        table[SEED] = settings.seed
     no_weights = dict.fromkeys(weight_columns(cities.metrics), 0.0)
     columns = dict.fromkeys([*table, *no_weights])
     table = table.reindex(columns=list(columns)).fillna(no_weights)
@@ -184,6 +191,8 @@ def routes_of_cities(
     varied = ("distance", *cities.metrics)
     largest = table[[WEIGHT_PREFIX + name for name in varied]].max().to_numpy()
     varied_columns(varied, largest, settings.vary, " on every route")
+    for name in settings.objectives:
+        one_of("each of objectives", name, varied)
     return table
 
 

@@ -6,123 +6,77 @@ A row is made alone, so that any number can be made side by side.
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import Row
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.places import XY, End
 from jaxurban.paths.rows import RouteJob, Run
+from jaxurban.paths.snapping import apart_note, snap_note
 from jaxurban.planners.astar import astar
 from jaxurban.studies.demonstrations import overlap_of
 from jaxurban.studies.montecarlo.sampling import KEY
-from jaxurban.studies.montecarlo.trial import ends_and_weights
 from jaxurban.studies.queries import RouteQuery, outcomes_of, query_between
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import nearest_breakpoints
-from jaxurban.studies.weights.sobol import (
-    OF_SHARE,
-    check_sampling,
-    sobol_of_weights,
-    varied_columns,
-)
+from jaxurban.studies.weights.paid import PAID, paid_on
+from jaxurban.studies.weights.settings import SensitivitySettings
+from jaxurban.studies.weights.sobol import OF_SHARE, sobol_of_weights, varied_columns
 
 ROUTE_KEY = ("city", *KEY)
-CITY_NUMBER = "city_number"  # column of instances: the place of a route's city among those of the study, from 0
+SEED = "seed"  # column of instances: of the draws of a route's Sobol indices
 SAME_SUMS = 1e-9  # relative: routes whose sums differ by less are one route
 # Columns of each weight, as "below:gps"; those of each weight and outcome are as "first:gps:length_m" (`OF_SHARE`).
-OF_WEIGHT = ("elasticity", "below", "above", "regret_low", "regret_high")
-TEXTS = ("city", "status", "note", "vary", "parameter")
+OF_WEIGHT = (
+    "elasticity",
+    "below",
+    "above",
+    "regret_low",
+    "regret_high",
+    *(f"more_{name}" for name in PAID),
+)
+TEXTS = ("city", "status", "note", "vary", "change")
 
 
-@typed
-@dataclass(frozen=True)
-class SensitivityStudySettings(RouteJob):
-    """What is asked of every route of a weight study.
+@dataclass(frozen=True, kw_only=True)
+class WeightsJob(RouteJob):
+    """What the weights do to the route of an instance.
 
     Attributes:
-      vary: names of weights; left out: all metrics of a route's maps whose weight is above 0. The distance keeps its
-        weight as the unit unless it is named.
-      factors: breakpoints are looked for, and weights of the Sobol indices drawn, from the first to the second of
-        these times each weight.
-      wrong: factor by which a wrong weight is too large or too small.
-      num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
-      num_heights: draws of all heights, on the maps of each of which every route is planned too.
-      has_parameters: also plan on maps of which one parameter of the metrics is halved or doubled: each number that
-        they have a gradient by (GDOP threshold, lidar range, risk threshold, both gammas of the population).
-      seed: of the sampling of routes and weights, with the place of the city among those of the study and the route's
-        number.
-      num_threads: of the searches of a route; left out, one a core, and one where several processes work.
-      cost_model, constraints, preset: of all routes, as in `jaxurban.plan`.
-
-    Raises:
-      InputError: factors that do not enclose 1, a number of samples that is no power of two, or another wrong value.
-
-    Examples:
-      >>> settings = ju.studies.SensitivityStudySettings(vary=("gps", "risk"), factors=(0.5, 2.0), num_samples=16)
-      >>> settings.vary, settings.wrong
-      (('gps', 'risk'), 2.0)
+      settings: what is asked.
+      snap: move an end that is not free to the nearest free cell: False never, True by at most 50 m, a number by at
+        most this many metres.
+      num_threads: of the searches of a route; None: one a core.
+      cost_model, constraints, preset: see `jaxurban.paths.rows.RouteRules`.
     """
 
-    vary: tuple[str, ...] = ()
-    factors: tuple[float, float] = (0.1, 10.0)
-    wrong: float = 2.0
-    num_samples: int = 32
-    num_heights: int = 0
-    has_parameters: bool = False
-    seed: int = 0
+    settings: SensitivitySettings
+    snap: bool | float = False
     num_threads: int | None = None
 
     key = ROUTE_KEY
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_sampling(self)
-        at_least("num_heights", self.num_heights)
-        if self.num_threads is not None:
-            at_least("num_threads", self.num_threads, 1)
-        if not positive("wrong", self.wrong) > 1:
-            raise InputError(f"wrong must be a factor above 1 such as 2, got {self.wrong}")
-
     def to_dict(self) -> dict[str, Any]:
-        """Return what decides a row, as plain, JSON-ready values.
-
-        Returns:
-          The cost model, the constraints (``limits``), and the settings of what is asked of a route.
-
-        Examples:
-          >>> record = ju.studies.SensitivityStudySettings(vary=("gps",)).to_dict()
-          >>> record["cost_model"], record["factors"], record["wrong"]
-          ('line', (0.1, 10.0), 2.0)
-        """
-        return self.rules() | {
-            name: getattr(self, name)
-            for name in ("factors", "vary", "wrong", "num_samples", "seed")
-        }
+        """Return what decides a row, as plain, JSON-ready values."""
+        names = ("factors", "vary", "wrong", "num_samples", "seed")
+        asked = {name: getattr(self.settings, name) for name in names}
+        return self.rules() | asked | {"snap": self.snap}
 
     def facts(self, cost_map: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
-        """Return what the weights do to the route of an instance.
-
-        Returns:
-          One row, as in ``rows`` of a `SensitivityStudy`.
-
-        Examples:
-          >>> instance = ju.studies.sample_instances(maps, 1, altitudes_m=[60.0]).to_dict("records")[0]
-          >>> chosen = ju.studies.SensitivityStudySettings(vary=("gps",), num_samples=0)
-          >>> (row,) = chosen.facts(ju.cost_map(maps, 60.0), instance, [()])
-          >>> row["status"], round(row["cost"], 1), round(row["length_m"])
-          ('optimal', 18.0, 148)
-        """
+        """Return what the weights do to the route of an instance, as one row (see `typed_columns`)."""
         # The cheapest route, and what it costs.
         begin_s = time.perf_counter()
-        query, weights = query_of(cost_map, instance)
-        varied = varied_columns(query.names, weights, self.vary)
+        settings = self.settings
+        query, weights, ends = query_of(cost_map, instance, self.snap)
+        varied = varied_columns(query.names, weights, settings.vary)
         path = astar(query.problem(weights))
         if not path.status.has_path:
-            return [{"status": path.status.value, "note": path.status.sentence}]
+            note = f"{path.status.sentence} {apart_note(cost_map, *ends)}".strip()
+            return [{"status": path.status.value, "note": note}]
         features, integrals = query.sums(path.points_m)
         cost = float(weights @ features)
         if not cost > 0:
@@ -131,7 +85,7 @@ class SensitivityStudySettings(RouteJob):
             )
         facts = {
             "status": path.status.value,
-            "note": path.note,
+            "note": f"{snap_note(*ends)} {path.note}".strip(),
             "vary": ",".join(varied),
             "cost": cost,
         }
@@ -142,48 +96,53 @@ class SensitivityStudySettings(RouteJob):
         # How it changes with each weight that varies.
         pool = RoutePool([query], workers=self.num_threads)
         columns = list(varied.values())
-        nearest = nearest_breakpoints(pool, weights, columns, self.factors)
+        nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
 
-        # [varied, 2, K] the weights with each that varies too small, then too large, and the regrets [varied, 2].
-        wrong = np.tile(weights, (len(columns), 2, 1))
-        for number, column in enumerate(columns):
-            wrong[number, :, column] *= 1 / self.wrong, self.wrong
-        cheapest = pool.cheapest(wrong.reshape(-1, len(weights)))[0, 0]
-        regret = np.maximum(cheapest @ weights / cost - 1, 0.0).reshape(-1, 2)
-        for name, values in zip(varied, np.hstack([nearest, regret]).tolist(), strict=True):
-            for kind, value in zip(OF_WEIGHT[1:], values, strict=True):
-                facts[f"{kind}:{name}"] = value
+        # What the route costs that is planned with a weight too small, or too large: the regrets, and of the worse of
+        # the two what a user pays more.
+        paid = paid_on(cost_map)
+        own = paid(path.points_m)
+        facts |= {name: own[name] for name in own if name != "length_m"}
+        for (name, column), factors in zip(varied.items(), nearest.tolist(), strict=True):
+            regrets, others = [], []
+            for factor in (1 / settings.wrong, settings.wrong):
+                wrong = weights.copy()
+                wrong[column] *= factor
+                points_m = query.cheapest(wrong)
+                regrets.append(max(float(query.sums(points_m)[0] @ weights / cost - 1), 0.0))
+                others.append(paid(points_m))
+            worse = others[int(np.argmax(regrets))]
+            more = [worse.get(each, math.nan) - own.get(each, math.nan) for each in PAID]
+            values = (*factors, *regrets, *more)
+            facts |= {
+                f"{kind}:{name}": each for kind, each in zip(OF_WEIGHT[1:], values, strict=True)
+            }
 
         # The Sobol shares of its outcomes; the draws of each route have a seed of their own.
-        if self.num_samples:
-            seed = seed_at(self.seed, int(instance.get(CITY_NUMBER, 0)), int(instance["instance"]))
+        if settings.num_samples:
             shares = sobol_of_weights(
-                pool,
-                weights,
-                columns,
-                self.factors,
-                self.num_samples,
-                seed % 2**31,
+                pool, weights, columns, settings.factors, settings.num_samples, int(instance[SEED])
             )
             for share in shares.reset_index().to_dict("records"):
                 suffix = f"{share['factor']}:{share['outcome']}"
                 facts |= {f"{kind}:{suffix}": float(share[kind]) for kind in OF_SHARE}
         elapsed_s = time.perf_counter() - begin_s
-        return [facts | {"num_plans": pool.num_plans + 1, "elapsed_s": elapsed_s}]
+        return [facts | {"num_plans": pool.num_plans + 2 * len(varied) + 1, "elapsed_s": elapsed_s}]
 
 
 def typed_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """Return the columns of rows with their types; a metric that some maps lack has no number there.
 
-    For every route: ``status`` and ``note``; ``cost`` and the outcomes (`outcomes_of`) of the cheapest route under the
-    given weights; ``vary``, the weights that vary; ``num_plans`` and ``elapsed_s``. A route that is not found has its
-    status and note alone.
+    For every route: ``status`` and ``note``; ``cost``, the outcomes (`outcomes_of`) and what a user pays (`paid_on`) of
+    the cheapest route under the given weights; ``vary``, the weights that vary; ``num_plans`` and ``elapsed_s``. A
+    route that is not found has its status and note alone.
 
     For each weight: ``elasticity:NAME``, its share of the cost, which is d log cost / d log w.
 
     For each weight that varies: ``below:NAME`` and ``above:NAME``, the nearest factors at which the route changes (NaN
     if none is within the range). ``regret_low:NAME`` and ``regret_high:NAME``, by which share a route costs more under
-    the true weights if it is planned with this weight ``wrong`` times too small or too large. ``first:NAME:OUTCOME``
+    the true weights if it is planned with this weight ``wrong`` times too small or too large, and what a user pays more
+    for the worse one of the two (``more_length_m:NAME`` and the like of `PAID`). ``first:NAME:OUTCOME``
     and ``total:NAME:OUTCOME``, its Sobol shares of each outcome, with half the width of their 95 % intervals
     (``first_ci``, ``total_ci``), unless no samples are asked for.
     """
@@ -192,14 +151,25 @@ def typed_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     return {name: types.get(name, "float64") for name in names}
 
 
-def query_of(cost_map: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
-    """Return the query of an instance, and its weights ``[K]``.
+def query_of(
+    cost_map: CostMap, instance: Row, snap: bool | float = False
+) -> tuple[RouteQuery, np.ndarray, tuple[End, End]]:
+    """Return the query of an instance, its weights ``[K]``, and its ends.
+
+    Args:
+      cost_map: on which its ends lie.
+      instance: its ends in metres, and a weight ``w_NAME`` for each name of the map.
+      snap: as in `WeightsJob`.
 
     Raises:
       InputError: a place that is not free, or both in one cell.
     """
-    start, goal, weights = ends_and_weights(cost_map, instance)
-    return query_between(cost_map, start, goal, str(instance["instance"])), weights
+    places = [XY(instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal")]
+    ends = cost_map.ends(*places, snap=snap)
+    start, goal = (end.cell for end in ends)
+    query = query_between(cost_map, start, goal, str(instance["instance"]))
+    weights = np.array([float(instance[f"w_{name}"]) for name in query.names])
+    return query, weights, ends
 
 
 def seed_at(seed: int, *place: int) -> int:
@@ -212,17 +182,19 @@ class OnChangedMaps(RouteJob):
     """How the cheapest route on changed maps differs from that on the nominal maps.
 
     Its rows: ``status``, both routes'; ``is_other``, whether they add up to something else on the nominal maps;
-    ``overlap``, the share of the nominal route's cells that the other one shares; ``is_closed``, whether the other one
-    crosses what is closed on the nominal maps, else ``regret``, by which share it costs more on them than the nominal
-    route; ``nominal_is_closed`` and ``nominal_regret`` the same of the nominal route on the changed maps.
+    ``overlap``, the share of the nominal route's cells that the other one shares; ``nominal_is_closed``, whether the
+    nominal route crosses what is closed on the changed maps, else ``nominal_regret``, by which share it costs more
+    there than the cheapest route.
 
     Attributes:
       nominal_at: returns the cost map of the nominal maps at an altitude, time and time of day.
       change: the columns that name the changed maps, with their values.
+      snap: of the ends on the nominal maps.
     """
 
     nominal_at: Callable[..., CostMap]
     change: Mapping[str, Any]
+    snap: bool | float = False
 
     key = ROUTE_KEY
 
@@ -233,8 +205,10 @@ class OnChangedMaps(RouteJob):
     def facts(self, cost_map: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
         """Return how the route of an instance differs between the nominal maps and the changed ones, as one row."""
         at = instance["altitude_m"], instance["time"], instance["time_of_day"]
-        nominal, weights = query_of(self.nominal_at(*at), instance)
-        other, _ = query_of(cost_map, instance)
+        nominal, weights, _ = query_of(self.nominal_at(*at), instance, self.snap)
+        other = replace(nominal, cost_map=cost_map)
+        if not all(cost_map.is_free[cell] for cell in (nominal.start, nominal.goal)):
+            raise InputError("an end of the route is closed on these maps")
         return [_compared(nominal, other, weights)]
 
 
@@ -254,25 +228,19 @@ def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> di
             return {"status": path.status.value, "note": path.status.sentence}
     nominal_m, other_m = (path.points_m for path in paths)
 
-    # Both routes on both maps: own and moved on the nominal map, kept and best on the other one.
+    # Both routes on the nominal map, and the nominal one on the other map, where it may be closed.
     on_nominal = nominal.cost_map.problem.features
-    on_other = other.cost_map.problem.features
     own = on_nominal(nominal_m)
     moved = on_nominal(other_m)
-    kept = on_other(nominal_m)
-    best = on_other(other_m)
+    kept = other.cost_map.problem.features(nominal_m)
     is_same = moved.is_valid and np.allclose(moved.phi, own.phi, rtol=SAME_SUMS, atol=SAME_SUMS)
+    best = paths[1].cost
     return {
         "status": paths[0].status.value,
         "is_other": float(not is_same),
         "overlap": overlap_of(nominal_m, other_m, nominal.cost_map.grid.resolution_m),
-        "is_closed": float(not moved.is_valid),
         "nominal_is_closed": float(not kept.is_valid),
-        "regret": _regret(moved.cost(weights), own.cost(weights)),
-        "nominal_regret": _regret(kept.cost(weights), best.cost(weights)),
+        "nominal_regret": max(kept.cost(weights) / best - 1, 0.0)
+        if kept.is_valid and best > 0
+        else math.nan,
     }
-
-
-def _regret(cost: float, best: float) -> float:
-    """Return by which share a cost is above the best; NaN for a path that is closed."""
-    return max(cost / best - 1, 0.0) if math.isfinite(cost) and best > 0 else math.nan

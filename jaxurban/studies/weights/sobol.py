@@ -1,4 +1,4 @@
-"""Which weights the outcomes of routes depend on: derivatives at given weights, Sobol indices over a whole range.
+"""Which weights the outcomes of routes depend on over a whole range: Sobol indices.
 
 The first-order index of a factor is the share of an outcome's variance that this factor explains alone; the total
 index is the share that would be left if all others were known, so it counts its interactions too (Saltelli et al.,
@@ -7,53 +7,26 @@ simplex do not: a larger one makes the others smaller, and no share could be put
 vary freely here. Only their ratios choose a route; leave one of them, such as the distance's, as the unit.
 """
 
-import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from scipy import special
 
-from jaxurban.checks import at_least, one_of
+from jaxurban.checks import one_of
 from jaxurban.errors import InputError
 from jaxurban.studies.bootstrap import interval_reach
 from jaxurban.studies.queries import outcomes_of
-from jaxurban.studies.route_pool import RoutePool, draw_pairs, mean_and_slope
+from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import OnPlans
 
-NUM_REPEATS, NUM_NOISE = 8, 16  # estimates of each slope, and searches for each
-NOISE = 0.2  # standard deviation of the log weights in them
 NUM_RESAMPLES = 1000  # of the bootstrap that gives the confidence intervals
 CONFIDENCE = 0.95
 FEW_SAMPLES = 64  # with fewer, intervals contain known indices in 62 to 94 % of the cases only
 CONSTANT = 1e-12  # relative: an outcome that varies by less does not vary
 OF_SHARE = ("first", "first_ci", "total", "total_ci")  # columns of Sobol shares
 NUM_AT_ONCE = 64  # weights planned under between two reports of progress
-
-
-def check_sampling(settings: Any) -> None:
-    """Raise InputError unless the settings of weights that vary make sense.
-
-    Args:
-      settings: with ``vary`` (names, each once), ``factors`` (two, below and above 1), ``num_samples`` (0 or a power of
-        two above 1) and ``seed`` (0 or more).
-    """
-    at_least("seed", settings.seed)
-    if len(set(settings.vary)) < len(settings.vary):
-        raise InputError(f"vary must name each weight once, got {', '.join(settings.vary)}")
-    factors = settings.factors
-    if len(factors) != 2 or not 0 < factors[0] < 1 < factors[1] < math.inf:
-        raise InputError(
-            f"factors must be two (--range), from below 1 to above 1 times the weights, as 0.1,10, got {factors}"
-        )
-    num = settings.num_samples
-    is_power = num & (num - 1) == 0  # of two, with a single binary digit 1; or 0
-    if num < 0 or num == 1 or not is_power:
-        raise InputError(f"num_samples must be a power of two such as 32, got {num}")
 
 
 def varied_columns(
@@ -202,90 +175,3 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
         total=result["ST"],
         total_ci=result["ST_conf"] * wider,
     )
-
-
-def cost_gradient(names: Sequence[str], weights: np.ndarray, features: np.ndarray) -> pd.DataFrame:
-    """Return how the optimal cost V responds to a small change of each weight, a row per weight.
-
-    V(W) = min W . f has the gradient f, the features of the cheapest route, wherever this route is unique (envelope
-    theorem; Danskin 1967). Where routes tie, f is one of V's supergradients. For several queries V is their mean cost.
-
-    The columns are ``weight``; ``gradient``, dV/dw; and ``elasticity``, d log V / d log w, which is also the weight's
-    share of the cost. Elasticities sum to 1; they are NaN where the cost is 0.
-
-    Args:
-      names: ``[K]`` of the weights.
-      weights: ``[K]``, not all 0.
-      features: ``[Q, K]`` of the cheapest route of each query.
-    """
-    gradient = features.mean(axis=0)
-    total = float(weights @ gradient)
-    elasticity = weights * gradient / total if total > 0 else np.nan
-    columns = {"weight": weights, "gradient": gradient, "elasticity": elasticity}
-    return pd.DataFrame(columns, pd.Index(names, name="weight_name"))
-
-
-def outcome_slopes(
-    pool: RoutePool, weights: np.ndarray, integrals: np.ndarray, noise: float = NOISE, seed: int = 0
-) -> pd.DataFrame:
-    """Return how the outcomes of the cheapest routes respond to a small change of each weight.
-
-    Between breakpoints outcomes are constant, so their derivative is 0 and says nothing. What counts is the slope of
-    their mean over perturbed weights W exp(noise Z), Z normal.
-
-    The table has a row for each outcome and weight, which are its index. ``value`` is the outcome under W, a mean over
-    the queries; ``expected`` its mean under perturbed weights; ``expected_slope`` the derivative of that mean by log w,
-    and ``expected_slope_se`` the standard error of this estimate.
-
-    Args:
-      pool: the queries; routes found join it.
-      weights: ``[K]``, not all 0.
-      integrals: ``[Q, K]`` of the cheapest route of each query.
-      noise: of log weights: about the size of the change.
-      seed: of the noise.
-
-    Raises:
-      InputError: a query without a path.
-    """
-    values = {name: np.mean(value) for name, value in outcomes_of(integrals, pool.names).items()}
-
-    # Independent estimates, with seeds that no other seed of the caller uses: their scatter is the standard error.
-    seeds = range(seed * NUM_REPEATS, (seed + 1) * NUM_REPEATS)
-    estimates = [_expected(pool, weights, noise, each) for each in seeds]
-    expected, slopes = map(np.array, zip(*estimates, strict=True))
-    num = len(pool.names)
-    columns = {
-        "value": np.repeat([*values.values()], num),
-        "expected": np.repeat(expected.mean(axis=0), num),
-        "expected_slope": slopes.mean(axis=0).ravel(),
-        "expected_slope_se": slopes.std(axis=0, ddof=1).ravel() / np.sqrt(len(slopes)),
-    }
-    rows = pd.MultiIndex.from_product([values, pool.names], names=["outcome", "weight_name"])
-    return pd.DataFrame(columns, rows)
-
-
-def _expected(
-    pool: RoutePool, weights: np.ndarray, noise: float, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return estimates of the expected outcomes ``[J]`` and of their slopes by log weights ``[J, K]``.
-
-    Args:
-      pool: the queries; routes found join it.
-      weights: ``[K]``; the slope by a weight that is 0 is 0.
-      noise: of log weights.
-      seed: of the noise.
-    """
-    # Means [Q, K] and slopes [Q, K, K] of the integrals, of which outcomes are made.
-    drawn = draw_pairs(seed, NUM_NOISE, len(weights))
-    integrals = pool.cheapest(weights * np.exp(noise * drawn))[1]
-    mean, slope = mean_and_slope(integrals, drawn, noise)
-    slope = np.where(weights > 0, slope, 0.0)
-
-    def outcomes(integrals: Any) -> Any:
-        """Return ``[J]`` the outcomes, as means over the queries, of integrals ``[Q, K]``."""
-        return jnp.stack([value.mean() for value in outcomes_of(integrals, pool.names).values()])
-
-    # The chain rule.
-    with jax.enable_x64(True):
-        by_integral = np.asarray(jax.jacfwd(outcomes)(jnp.asarray(mean)))  # [J, Q, K]
-        return np.asarray(outcomes(mean)), np.einsum("jqi,qik->jk", by_integral, slope)

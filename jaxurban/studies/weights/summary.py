@@ -6,6 +6,8 @@ drawn.
 """
 
 from collections.abc import Callable, Iterator
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -13,27 +15,26 @@ import pandas as pd
 
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic, named
+from jaxurban.studies.decided import FEWEST_RUNS
+from jaxurban.studies.weights.paid import PAID
 from jaxurban.studies.weights.routes import OF_WEIGHT, ROUTE_KEY
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, OF_SHARE
 
 DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
 ALL = "all"
 CUTS = ("city", "altitude_m", "stratum", "range", "time", "time_of_day")
-BOTH = (("city", "altitude_m"), ("stratum", "altitude_m"))
 OVER_CITIES = "over cities"
+OTHERS = "others"
 CLEAR, UNCLEAR = "clear", "not distinguishable from 0"
 TOO_FEW, CONSTANT = "too few routes", "does not vary"
 UNRESOLVED = "not resolved"
-ABOVE_ONE = 0.1  # no share is above 1: one whose interval reaches further beyond is not resolved
-REMADE_STATISTICS = (
-    "is_other",
-    "overlap",
-    "is_closed",
-    "regret",
-    "nominal_is_closed",
-    "nominal_regret",
+MOST_PERCENT = (
+    110  # no share is above 100 %: one whose interval reaches beyond this is not resolved
 )
-SHARES_OF_ROUTES = ("is_other", "is_closed", "nominal_is_closed")
+MORE = [f"more_{name}" for name in PAID]
+HEIGHTS = "heights"  # the change of all draws of them
+CHANGED_STATISTICS = ("is_other", "overlap", "nominal_is_closed", "nominal_regret")
+SHARES_OF_ROUTES = ("is_other", "nominal_is_closed")
 
 
 def routes_of(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
@@ -87,7 +88,8 @@ def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.S
     """Return the statistics of a weight by name: a function of its rows that gives the values, and their average.
 
     ``share`` is the mean share of the cost, ``nearest`` the median factor, ``changes`` the share of routes that change
-    where the weight is up to ``wrong`` times too small or too large, ``regret`` the mean regret.
+    where the weight is up to ``wrong`` times too small or too large, ``regret`` the mean regret, and ``more_length_m``
+    and the like what a user pays more for such a weight on average (`PAID`).
 
     Args:
       wrong: factor of a wrong weight, above 1.
@@ -101,28 +103,52 @@ def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.S
         "share": (lambda table: table.elasticity, "mean"),
         "nearest": (lambda table: table.nearest, "median"),
         "changes": (is_changed, "share"),
-        "regret": (lambda table: table.regret, "mean"),
+        **{name: (itemgetter(name), "mean") for name in ("regret", *MORE)},
     }
 
 
 def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """Yield the parts of a table of weights: what the table is cut by, the value of the part, and the part.
 
-    First the whole table, then the parts of each cut whose columns all have two values or more. A cut by two columns
-    names both, joined by a comma.
+    First the whole table, then the parts of each cut (`parts_of`). Parts with fewer than `FEWEST_RUNS` routes are
+    merged into one, the value `OTHERS` and theirs, which is left out where it has too few too, or is the whole table.
     """
     yield ALL, ALL, table
+    for cut, parts in groupby(parts_of(table), key=itemgetter(0)):
+        small = {}
+        for _, value, part in parts:
+            if num_routes(part) < FEWEST_RUNS:
+                small[value] = part
+            else:
+                yield cut, value, part
+        if len(small) > 1:
+            others = pd.concat(small.values())
+            if FEWEST_RUNS <= num_routes(others) < num_routes(table):
+                yield cut, f"{OTHERS}: {', '.join(small)}", others
 
+
+def parts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
+    """Yield the parts of each cut that has two values or more, as `cuts_of`, however small they are."""
     # The table with ``stratum``, each row once for each stratum that its route starts or ends in.
     ends = [table.assign(stratum=table[name]) for name in ("start_stratum", "goal_stratum")]
     both = pd.concat(ends).dropna(subset="stratum").reset_index()
     strata = both.drop_duplicates(["index", "stratum"], ignore_index=True)
-    for cut in (*CUTS, *BOTH):
-        columns = [cut] if isinstance(cut, str) else list(cut)
-        source = strata if "stratum" in columns else table
-        if all(_differs(source, column) for column in columns):
-            for value, part in source.groupby(columns, sort=True):
-                yield ", ".join(columns), ", ".join(map(_text_of, value)), part
+    for cut in CUTS:
+        source = strata if cut == "stratum" else table
+        if _differs(source, cut):
+            for value, part in source.groupby(cut, sort=True):
+                yield cut, _text_of(value), part
+
+
+def small_parts(table: pd.DataFrame) -> list[str]:
+    """Return the values of the parts that have too few routes for a row, with their number of routes."""
+    sizes = [(value, num_routes(part)) for _, value, part in parts_of(table)]
+    return [f"{value} ({num})" for value, num in sizes if num < FEWEST_RUNS]
+
+
+def num_routes(table: pd.DataFrame) -> int:
+    """Return how many routes a table of weights holds, each counted once."""
+    return len(table.drop_duplicates([*ROUTE_KEY]))
 
 
 def _differs(table: pd.DataFrame, column: str) -> bool:
@@ -204,11 +230,12 @@ def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
     """Return mean Sobol shares over routes: a row for each outcome, weight and kind, with a ``verdict`` in words.
 
     Estimates of one route from few samples scatter about the truth, below 0 too, independently from route to route.
-    Their mean is nearer to the truth, and its interval holds both the scatter and how routes differ. A share whose
-    interval reaches 0 is `UNCLEAR`, whatever its value. The verdict is on the mean, not on one route: ``own_ci``, the
-    median half-width of one route's interval, may be wider than the share where the mean is `CLEAR`.
+    Their mean is nearer to the truth, and its interval holds both the scatter and how routes differ; of a single route
+    it is that of its own samples. A share whose interval reaches 0 is `UNCLEAR`, whatever its value. The verdict is on
+    the mean, not on one route: ``own_ci``, the median half-width of one route's interval, may be wider than the share
+    where the mean is `CLEAR`.
 
-    A share whose interval reaches above 1 by more than `ABOVE_ONE` is `UNRESOLVED`: on some routes the samples hardly
+    A share whose interval reaches beyond `MOST_PERCENT` is `UNRESOLVED`: on some routes the samples hardly
     vary, and shares are divided by their small variance. ``samples_needed`` is then four times the number of samples,
     and at least `FEW_SAMPLES`. That is the next step, not a bound, since the intervals cannot show what the samples
     missed. Other shares, and their upper ends, are cut off at 1, and their ``samples_needed`` is NaN.
@@ -222,6 +249,9 @@ def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
         for kind in ("first", "total"):
             known = part[part[kind].notna()]
             share = pairs_of(known).interval(known[kind])
+            if len(known) == 1:  # the interval of this route's samples
+                value, half = known[[kind, f"{kind}_ci"]].to_numpy()[0]
+                share = Interval(value, value - half, value + half)
             rows.append(
                 {
                     "outcome": outcome,
@@ -249,46 +279,43 @@ def _verdict(share: Interval, num_routes: int) -> str:
         return CONSTANT
     if not np.isfinite(share.low):
         return TOO_FEW
-    if share.high > 1 + ABOVE_ONE:
+    if 100 * share.high > MOST_PERCENT:
         return UNRESOLVED
     return CLEAR if share.low > 0 else UNCLEAR
 
 
 def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
-    """Return how far routes change on other maps: a row for all routes, for each city and for each altitude.
+    """Return how far routes change on other maps: rows for all routes, each city and each altitude, of each ``change``.
 
-    On maps of other parameters there are such rows for each ``parameter`` and ``factor``. On maps of perturbed heights
-    all draws count together, and intervals are of draws and of routes at once. The columns are the means of the columns
-    of `jaxurban.studies.weights.routes.OnChangedMaps`.
+    All draws of heights count together, and their intervals are of draws and of routes at once. The columns are the
+    means of the columns of `jaxurban.studies.weights.routes.OnChangedMaps`.
 
     Args:
-      changed: rows of routes on other maps, of either kind.
+      changed: rows of routes on other maps.
     """
-    # The rows of each kind of change; those of perturbed heights are of one kind, without a name.
     changed = changed[changed.status.isin(HAS_PATH)].assign(**{ALL: ALL})
-    kinds = [name for name in ("parameter", "factor") if name in changed]
-    by_kind = changed.groupby(kinds, sort=False) if kinds else [((), changed)]
     rows = []
-    for kind, of_kind in by_kind:
-        head = dict(zip(kinds, kind, strict=True))
+    for change, of_change in changed.groupby("change", sort=False):
         for cut in (ALL, "city", "altitude_m"):
-            for value, part in of_kind.groupby(cut, sort=False):
-                rows.append(head | {"cut": cut, "of": _text_of(value)} | _changes_of(part))
+            if cut != ALL and of_change[cut].nunique() == 1:
+                continue
+            for value, part in of_change.groupby(cut, sort=False):
+                head = {"change": change, "cut": cut, "of": _text_of(value)}
+                rows.append(head | _changes_of(part))
     return pd.DataFrame(rows)
 
 
 def _changes_of(part: pd.DataFrame) -> dict[str, float]:
     """Return the columns of a row of `summarise_changed`: the sizes of a part, and its means with their intervals.
 
-    ``draws`` counts the draws of heights, where there are any; ``groups`` is the number of groups of the bootstrap.
+    ``draws`` counts the maps of one change; ``groups`` is the number of groups of the bootstrap.
     """
     row = _sizes_of(part)
     clusters = pairs_of(part)
-    if "draw" in part:
+    if part.change.iloc[0] == HEIGHTS:
         clusters = clusters.crossed(Clusters(part.draw, seed=1))
-        row["draws"] = part.draw.nunique()
-    row["groups"] = clusters.num_groups
-    for statistic in REMADE_STATISTICS:
+    row |= {"draws": part.draw.nunique(), "groups": clusters.num_groups}
+    for statistic in CHANGED_STATISTICS:
         average: Statistic = "share" if statistic in SHARES_OF_ROUTES else "mean"
         row |= named(statistic, clusters.interval(part[statistic], average))
     return row

@@ -1,0 +1,296 @@
+"""How options are made: of what settings say of their own fields, as NAME=VALUE, and in groups of `--help`."""
+
+import inspect
+import re
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from functools import partial, wraps
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import click
+
+from jaxurban.checks import one_of, unit_of_argument
+
+Decorator = Callable[[Callable], Callable]
+ONE = {float: click.FLOAT, int: click.INT, bool: click.BOOL, str: click.STRING}
+
+
+# Sections of the help for options that several commands have; the others stand before them.
+SECTIONS = {
+    "Maps": ("resolution_m", "time", "times", "time_of_day", "sources", "changes"),
+    "Rules of the route": ("preset", "weights", "rules", "no_fly", "require"),
+    "Output": ("output", "files", "overwrite", "as_json"),
+    "Machine": ("workers", "cluster", "device", "seed"),
+}
+
+
+class Command(click.Command):
+    """A command whose help lists its options by `SECTIONS`."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options into a help text."""
+        section_of = {name: title for title, names in SECTIONS.items() for name in names}
+        rows: dict[str, list[tuple[str, str]]] = defaultdict(list)
+        for param in self.get_params(ctx):
+            row = param.get_help_record(ctx)
+            if row is not None and isinstance(param, click.Option):
+                section = rows[section_of.get(str(param.name), "Options")]
+                section.append(row)
+                if isinstance(param.type, Values):
+                    section += param.type.rows
+        for title in ("Options", *SECTIONS):
+            if rows[title]:
+                with formatter.section(title):
+                    formatter.write_dl(rows[title])
+
+
+command = partial(click.command, cls=Command)
+
+
+class Numbers(click.ParamType):
+    """Numbers with commas between them.
+
+    Args:
+      name: of the type, in the help.
+      example: ends the sentence on other values: ``'x' must be EXAMPLE``.
+      count: how many numbers there must be; 0: any number of them.
+    """
+
+    def __init__(self, name: str, example: str, count: int = 0) -> None:
+        self.name, self.example, self.count = name, example, count
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
+        """Return the numbers in a text.
+
+        Args:
+          value: the text; a default, which is a tuple of numbers already, comes back unchanged.
+          param, ctx: of the option, for the error.
+
+        Raises:
+          BadParameter: something that is no number, or another count of numbers.
+        """
+        if isinstance(value, tuple):
+            return value
+        try:
+            numbers = tuple(float(part) for part in str(value).split(","))
+        except ValueError:
+            numbers = ()
+        if not numbers or len(numbers) != (self.count or len(numbers)):
+            self.fail(f"{value!r} must be {self.example}", param, ctx)
+        return numbers
+
+
+class Names(click.ParamType):
+    """Names with commas between them; a default, which is a tuple already, comes back unchanged."""
+
+    name = "name,..."
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, ...]:
+        """Return the names in a text."""
+        if isinstance(value, tuple):
+            return value
+        return tuple(filter(None, map(str.strip, value.split(","))))
+
+
+class NumberOrText(click.ParamType):
+    """A number where a text reads as one, else the text."""
+
+    name = "number or text"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float | str:
+        """Return the value of a text."""
+        try:
+            return float(value)
+        except ValueError:
+            return str(value)
+
+
+class Values(click.ParamType):
+    """``NAME=VALUE,...``: values by their names, which are those of a class's fields; the help lists them below it.
+
+    A value without a name is that of the first one.
+
+    Args:
+      settings: a class with annotated fields, each with a line in the docstring.
+      names: of the fields; none: all of them.
+    """
+
+    name = "NAME=VALUE,..."
+
+    def __init__(self, settings: type, names: Sequence[str] = ()) -> None:
+        self.hints = get_type_hints(settings)
+        self.texts = texts_of(settings)
+        self.names = names or tuple(self.hints)
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Rows of the help below the option's own: each name, and what it means."""
+        return [(f"  {name}=", self.texts[name]) for name in self.names]
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> dict[str, Any]:
+        """Return the values in a text by their names.
+
+        Args:
+          value: the text; an empty one holds none.
+          param, ctx: of the option, for the error.
+
+        Raises:
+          BadParameter: a name twice, or a value of another kind.
+          InputError: a name that is no field.
+        """
+        said = f"a name in {param.opts[0]}" if param else "a name"
+        values: dict[str, Any] = {}
+        for part in filter(None, value.split(",")):
+            given, _, text = part.rpartition("=")
+            name = one_of(said, given.strip() or self.names[0], self.names)
+            if name in values:
+                self.fail(f"{name} stands twice: give it one value", param, ctx)
+            values[name] = type_of(self.hints[name]).convert(text.strip(), param, ctx)
+        return values
+
+
+class DependentOption(click.Option):
+    """An option that says nothing without another one, its owner.
+
+    Args:
+      owner: the other option, such as ``"--volume"``.
+    """
+
+    def __init__(self, *args: Any, owner: str, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.owner = owner
+
+    def handle_parse_result(
+        self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
+    ) -> tuple[Any, list[str]]:
+        """Return the value and what is left to parse, as for any option.
+
+        Args:
+          ctx: of the command, whose parameters include the owner.
+          opts: values of the options that are given, by their names in Python.
+          args: what is left to parse.
+
+        Raises:
+          UsageError: the option is given, and its owner is not.
+        """
+        owner = next(param for param in ctx.command.params if self.owner in param.opts)
+        if self.name in opts and owner.name not in opts:
+            raise click.UsageError(f"{self.opts[0]} belongs to {self.owner}: add that")
+        return super().handle_parse_result(ctx, opts, args)
+
+
+def type_of(hint: Any) -> Any:
+    """Return the click type of a field's hint; of one that is optional, of what it may be beside None.
+
+    Lists of texts are `Names`, other tuples `Numbers`, and what may be of several kinds is a number or a text.
+    """
+    if get_origin(hint) in (Union, UnionType):
+        kinds = [kind for kind in get_args(hint) if kind is not NoneType]
+        return type_of(kinds[0]) if len(kinds) == 1 else NumberOrText()
+    items = get_args(hint)
+    if get_origin(hint) is Literal:
+        return click.Choice(items)
+    if not items:
+        return ONE.get(hint, click.STRING)
+    if items[0] is str:
+        return Names()
+    count = 0 if Ellipsis in items or get_origin(hint) is Sequence else len(items)
+    return Numbers("NUMBER,...", "numbers with commas between them", count)
+
+
+def texts_of(settings: type) -> dict[str, str]:
+    """Return what the docstrings of a class and of those that it inherits from say of each attribute, by name."""
+    texts: dict[str, str] = {}
+    for each in reversed(settings.__mro__):
+        _, _, attributes = inspect.cleandoc(each.__doc__ or "").partition("Attributes:\n")
+        entries = attributes.partition("\n\n")[0]
+        for names, text in re.findall(r"^  (\w[\w, ]*): (.*(?:\n    .*)*)", entries, re.M):
+            plain = " ".join(re.sub(r' \(`[\w.]+`\)|``|"', "", text).split())
+            texts |= dict.fromkeys(names.split(", "), plain)
+    return texts
+
+
+def options_together(*parameters: Callable) -> Decorator:
+    """Return a decorator that adds options and arguments to a command, which lists them in this order."""
+
+    def add(command: Callable) -> Callable:
+        for parameter in reversed(parameters):  # as decorators that stand one over the other
+            command = parameter(command)
+        return command
+
+    return add
+
+
+def grouped_options(
+    argument: str,
+    make: Callable[..., Any],
+    *options: Callable,
+    names: Sequence[str] | None = None,
+) -> Decorator:
+    """Return a decorator that adds several options to a command, which gets one argument made of their values.
+
+    Args:
+      argument: name of the command's argument.
+      make: returns its value; it takes the values of the options, by their names in Python.
+      options: the options, in the order of the help.
+      names: of the options in Python; None: of all annotated arguments of ``make``.
+    """
+    own = names or [name for name in make.__annotations__ if name != "return"]
+
+    def add(command: Callable) -> Callable:
+        @wraps(command)
+        def call(**values: Any) -> Any:
+            own_values = {name: values.pop(name) for name in own}
+            values[argument] = make(**own_values)
+            return command(**values)
+
+        return options_together(*options)(call)
+
+    return add
+
+
+def options_of(
+    settings: Any, argument: str = "settings", without: Sequence[str] = (), **spelled: str
+) -> Decorator:
+    """Return a decorator that gives a command an option for each field of a settings class, and an instance of it.
+
+    A field's own name, default, kind and line in the docstring of the class are those of the option: ``num_samples``
+    is ``--samples``, ``block_m`` is ``--block METRES``. As the help of a command imports nothing heavy, the module of
+    the class must not either.
+
+    Args:
+      settings: a dataclass whose fields all have defaults.
+      argument: name of the command's argument that gets the instance.
+      without: names of fields that get no option and keep their defaults.
+      spelled: options by the names of their fields, where they are called otherwise, as ``factors="--range"``.
+    """
+    hints, texts = get_type_hints(settings), texts_of(settings)
+    chosen = [item for item in fields(settings) if item.name not in without]
+    options = []
+    for item in chosen:
+        name = re.sub(r"^(num|has|is)_|_(m|s|m_s|deg|w)$", "", item.name).replace("_", "-")
+        text = texts.get(item.name, "")
+        is_flag = hints[item.name] is bool
+        option = click.option(
+            spelled.get(item.name, f"--{name}"),
+            item.name,
+            type=None if is_flag else type_of(hints[item.name]),
+            is_flag=is_flag,
+            default=item.default,
+            show_default=not is_flag and item.default not in (None, ()),
+            metavar=unit_of_argument(item.name).upper() or None,
+            help=f"{text[:1].upper()}{text[1:]}",
+        )
+        options.append(option)
+    names = [item.name for item in chosen]
+    return grouped_options(argument, settings, *options, names=names)

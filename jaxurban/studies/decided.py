@@ -1,0 +1,428 @@
+"""What a study decided, what it did not, and what to run next: records, and the three lines that stand first.
+
+A `Verdict` is a record: its kind, what it is about, the size of the effect with its interval, the number of runs and
+the unit. Its sentence is made where it is shown, and no code decides by one. Each study has its own kinds, an `Enum`
+whose values are sentences with places for the record's fields (`Verdict.sentence`); `SharedVerdict` holds those of all.
+
+Alternatives (planners, weights) are compared two by two on the same runs, and all differences of one call have
+intervals that are simultaneous: with 95 % none of them misses its truth. So whichever of them a report selects, it may
+say. The rank of an alternative is 1 and the number of those that are before it, of which the interval excludes 0; what
+cannot be told apart shares a rank (Mogstad et al., Rev. Econ. Stud. 91, 2024). The half-width is a quantile of the
+largest deviation among all differences, each in its standard errors over bootstrap draws of whole groups, which
+Student's t widens for few groups.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import shapely
+from scipy import ndimage, special
+
+from jaxurban.io.tables import records_of
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.public import FactsRepr
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Clusters
+from jaxurban.world.grid import Grid
+
+FEWEST_RUNS = 10  # of a stratum of which something is said
+FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effect
+MOST_RUNS = 1e6  # more are called "no number"
+SAME = 1e-9  # relative, and in the unit of the values: what differs by less is equal
+EDGE_CELLS = 3  # a route this near to the border of the data may be what the border made it
+USUAL_SHARE, FEWEST_TO_HOLD_OUT = (
+    0.25,
+    16,
+)  # is held out of a fit where it has so many routes or more
+SHOWN = 3  # sentences of a line
+
+
+class SharedVerdict(Enum):
+    """Kinds of verdicts that several studies have; each is a sentence with places for the record's fields."""
+
+    EQUAL = "{what} are equal in {measure} on all {n}"
+    TIED = "{what} cannot be told apart in {measure} ({last} over {first}: {size}, {n})"
+    BORDER = (
+        "{count:,} of {n} come within {cells} cells of the border of the maps' data, away from their ends: whether the "
+        "border made them is not decided by more routes, but by maps of wider bounds"
+    )
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a study says to one question.
+
+    Attributes:
+      kind: its value is the sentence, with places for ``{what}`` (all names), ``{first}`` and ``{last}`` of them,
+        ``{size}`` (with unit and interval), ``{n}`` (with its noun) and the names of ``facts``.
+      what: names of what it is about, planners or weights, the better one first.
+      size, low, high: of the effect, and the ends of its interval, in the unit; NaN where there is none.
+      n: number of groups of runs that it rests on.
+      unit: of the effect: ``"%"``, ``"m"``, ``"percentage points"``; empty for a plain number.
+      noun: what ``n`` counts: ``"routes"``.
+      needed: how many would decide it if the effect is as large as it was found to be: 0: it is decided; inf: no number
+        would; NaN: the sentence itself says what would.
+      facts: what else the sentence says, by name.
+    """
+
+    kind: Enum
+    what: tuple[str, ...] = ()
+    size: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    n: int = 0
+    unit: str = ""
+    noun: str = "routes"
+    needed: float = 0.0
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether the runs decide it."""
+        return self.needed == 0
+
+    @property
+    def sentence(self) -> str:
+        """The record in words, without a full stop; if it is not decided, with the number of runs that would do."""
+        *most, last = self.what or ("",)
+        words = {
+            "what": f"{', '.join(most)} and {last}" if most else last,
+            "first": self.what[0] if self.what else "",
+            "last": last,
+            "size": sized(self.size, self.low, self.high, self.unit),
+            "n": f"{self.n:,} {self.noun}",
+        }
+        sentence = self.kind.value.format_map({**words, **self.facts})
+        if self.is_decided or math.isnan(self.needed):
+            return sentence
+        if math.isinf(self.needed):
+            return f"{sentence}; no number of {self.noun} would change that"
+        return f"{sentence}; some {self.needed:,.0f} {self.noun} would decide so large an effect"
+
+
+@dataclass(frozen=True, repr=False)
+class Conclusion(FactsRepr):
+    """The three lines that stand first in a study's report, in its result and on the terminal.
+
+    Attributes:
+      verdicts: what was asked, the most important first.
+      next_command: one command that decides more, or uses what is decided.
+    """
+
+    verdicts: tuple[Verdict, ...]
+    next_command: str
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The three lines by name: ``decided``, ``not decided`` and ``next``."""
+        decided = [each for each in self.verdicts if each.is_decided]
+        others = [each for each in self.verdicts if not each.is_decided]
+        return {
+            "decided": _line(decided),
+            "not decided": _line(others),
+            "next": self.next_command,
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return lines and records as plain, JSON-ready values; a number that is not finite is None."""
+        records = [
+            {**vars(each), "kind": each.kind.name.lower(), "is_decided": each.is_decided}
+            for each in self.verdicts
+        ]
+        table = pd.DataFrame(records).replace([np.inf, -np.inf], np.nan)
+        return {"lines": self.facts, "verdicts": records_of(table)}
+
+
+def _line(verdicts: Sequence[Verdict]) -> str:
+    """Return the sentences of the first verdicts as one line, and how many more there are."""
+    sentences = [verdict.sentence for verdict in verdicts[:SHOWN]]
+    if len(verdicts) > SHOWN:
+        sentences.append(f"{len(verdicts) - SHOWN} more in the records")
+    return ". ".join(sentences) + "." if sentences else "Nothing."
+
+
+def sized(value: float, low: float, high: float, unit: str = "") -> str:
+    """Return a number with its unit and its interval, as ``1.3 % (0.9 to 1.7)``.
+
+    Its last digit is that of the second figure of the interval's half-width, so that no digit says what is not known;
+    without an interval it has three figures.
+
+    Args:
+      value, low, high: in the unit; NaN ends where there is no interval.
+      unit: stands once, behind the value.
+    """
+    half = (high - low) / 2
+    scale = half / 10 if half > SAME else abs(value) / 100
+    decimals = max(0, -math.floor(math.log10(scale))) if scale > SAME else 0
+    numbers = [f"{round(each, decimals) + 0.0:,.{decimals}f}" for each in (value, low, high)]
+    text = f"{numbers[0]} {unit}".strip()
+    return text if math.isnan(half) else f"{text} ({numbers[1]} to {numbers[2]})"
+
+
+def runs_needed(size: float, low: float, high: float, n: int) -> float:
+    """Return how many runs would decide whether an effect differs from 0, if it is as large as it was found to be.
+
+    So many that the interval excludes 0 in `FOUND_SHARE` of the studies, to two figures; 0 if it does already; inf for
+    an effect of 0. Without an interval as many as one takes.
+
+    Args:
+      size, low, high: of the effect and the ends of its interval; NaN where there is none.
+      n: number of runs, counted as the bootstrap's groups.
+    """
+    if low > 0 or high < 0:
+        return 0.0
+    if math.isnan(low):
+        return max(FEWEST_GROUPS, n + 1)
+    further = 1 + special.ndtri(FOUND_SHARE) / special.ndtri((1 + LEVEL) / 2)
+    half = further * (high - low) / 2
+    if abs(size) * math.sqrt(MOST_RUNS) <= half * math.sqrt(n):
+        return math.inf
+    return max(n + 1.0, float(f"{n * (half / size) ** 2:.2g}"))
+
+
+def effects(values: np.ndarray | pd.DataFrame, clusters: Clusters) -> pd.DataFrame:
+    """Return means with intervals that hold all at once: a row per column of the values, by its name.
+
+    ``size``, ``low``, ``high``; ``n``, the number of groups; ``needed`` (`runs_needed`). Ends are NaN with fewer groups
+    than `FEWEST_GROUPS`.
+
+    Args:
+      values: ``[N, P]`` in the order of the groups; NaN does not count.
+      clusters: draws of the groups of the ``N`` values.
+    """
+    table = pd.DataFrame(values)
+    size = table.mean()
+    num = pd.Series(map(clusters.groups_of, table.notna().to_numpy().T), table.columns, dtype=int)
+    drawn = pd.DataFrame({name: clusters.drawn(table[name].to_numpy()) for name in table})
+    spread = drawn.std(ddof=0)
+
+    # The largest deviation of each draw, in standard errors of its column, and its quantile; then, for each column, the
+    # same level of Student's t.
+    has_interval = num >= FEWEST_GROUPS
+    varies = has_interval & (spread > SAME * size.abs())
+    largest = ((drawn - size) / spread).loc[:, varies].abs().max(axis=1)
+    student = special.stdtrit(num.clip(lower=2) - 1, special.ndtr(largest.quantile(LEVEL)))
+    half = student * spread * np.sqrt(num / (num - 1).clip(lower=1))
+    half = half.where(varies, 0.0).where(has_interval)
+    ends = {"size": size, "low": size - half, "high": size + half, "n": num}
+    result = pd.DataFrame(ends)
+    return result.assign(needed=[runs_needed(*row) for row in result.itertuples(index=False)])
+
+
+class Measure(NamedTuple):
+    """What alternatives are compared by.
+
+    Attributes:
+      values: a row per run and a column per alternative; NaN where a run has none.
+      unit: of the differences; those of ratios are in %.
+      is_ratio: values are positive, and compared by their ratio.
+      is_better_high: more is better.
+    """
+
+    values: pd.DataFrame
+    unit: str = "%"
+    is_ratio: bool = False
+    is_better_high: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Alternatives in groups of ranks.
+
+    Attributes:
+      measure: what they are compared by.
+      names: the alternatives, the best first; those that are equal on all runs stand as one, ``"a = b"``.
+      equal: the names of these, for each such group.
+      pairs: a row for each two names: ``first``, ``second`` (the worse one on average), ``size`` (second over first,
+        from 0 up), ``low``, ``high``, ``n`` and ``needed``; first is before second where this is 0.
+      unit: of the sizes.
+      n: number of groups of runs.
+    """
+
+    measure: str
+    names: tuple[str, ...]
+    equal: tuple[tuple[str, ...], ...]
+    pairs: pd.DataFrame
+    unit: str
+    n: int
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row per name: ``measure``, ``rank``, ``name``, and ``behind`` the first one, in ``unit``, of ``n`` groups.
+
+        The ends of the interval are ``behind_low`` and ``behind_high``; the first one has no numbers.
+        """
+        columns = {"size": "behind", "low": "behind_low", "high": "behind_high"}
+        behind = self.pairs[self.pairs["first"] == self.names[0]].set_index("second")
+        num_before = self.pairs[self.pairs.needed == 0].second.value_counts()
+        table = behind.reindex(self.names).rename(columns=columns)[[*columns.values(), "n"]]
+        rank = 1 + num_before.reindex(self.names, fill_value=0)
+        table = table.assign(measure=self.measure, rank=rank, name=self.names, unit=self.unit)
+        shown = ["measure", "rank", "name", *columns.values(), "unit", "n"]
+        return table.sort_values("rank", kind="stable")[shown]
+
+    def verdicts(self, before: Enum, noun: str, tied: Enum = SharedVerdict.TIED) -> list[Verdict]:
+        """Return what the ranks say: who is behind whom, who is equal, and who cannot be told apart.
+
+        Args:
+          before: kind of a difference that is decided: ``{last}`` is worse than ``{first}`` by ``{size}``.
+          noun: what runs are.
+          tied: kind of those that cannot be told apart; ``{size}`` is between the outermost of them.
+        """
+        # Of each name behind another its largest difference to one before it; then names that are tied.
+        decided = self.pairs[self.pairs.needed == 0].sort_values("size")
+        pairs: Any = decided.drop_duplicates("second", keep="last").itertuples()
+        behind = ((before, (row.first, row.second), row) for row in pairs)
+        rows = [*behind, *((tied, names, row) for names, row in self._tied())]
+        facts = {"measure": self.measure}
+        verdicts = []
+        for kind, what, row in rows:
+            size = row.size, row.low, row.high
+            verdicts.append(Verdict(kind, what, *size, row.n, self.unit, noun, row.needed, facts))
+
+        # And those that are equal.
+        needed = math.inf if self.n >= FEWEST_GROUPS else FEWEST_GROUPS
+        verdicts += [
+            Verdict(SharedVerdict.EQUAL, each, 0.0, n=self.n, noun=noun, needed=needed, facts=facts)
+            for each in self.equal
+        ]
+        return verdicts
+
+    def _tied(self) -> Iterator[tuple[tuple[str, ...], Any]]:
+        """Yield names that follow each other, as many as have no decided pair, and the pair of the outermost."""
+        pair_of = {frozenset((row.first, row.second)): row for row in self.pairs.itertuples()}
+        end = 0
+        for begin in range(len(self.names)):
+            stop = begin + 1
+            for name in self.names[stop:]:
+                others = self.names[begin:stop]
+                if not all(pair_of[frozenset((name, other))].needed for other in others):
+                    break
+                stop += 1
+            if stop > max(end, begin + 1):
+                names = self.names[begin:stop]
+                yield names, pair_of[frozenset((names[0], names[-1]))]
+            end = max(end, stop)
+
+
+def ranked(measures: Mapping[str, Measure], clusters: Clusters) -> dict[str, Ranking]:
+    """Return alternatives in groups of ranks by each measure, with intervals that hold for all measures at once.
+
+    Args:
+      measures: by name, of the same ``N`` runs.
+      clusters: draws of the groups of the runs, such as pairs of places at several altitudes.
+    """
+    # Of each measure its values, less being better; and the differences [N] of each two alternatives, worse over better
+    # on average, 0 where they are the same to the precision of a sum.
+    columns = {}
+    equal = {}
+    keys: list[tuple] = []
+    differences: dict[int, np.ndarray] = {}
+    for name, measure in measures.items():
+        values = -measure.values if measure.is_better_high else measure.values
+        if measure.is_ratio:
+            values = values.map(math.log)
+        columns[name], equal[name] = _without_equal(values)
+        for first, second in itertools.combinations(columns[name], 2):
+            sides = columns[name][first], columns[name][second]
+            change = np.where(np.isclose(*sides, SAME, SAME), 0.0, sides[1] - sides[0])
+            differences[len(keys)] = change
+            keys.append((name, first, second))
+    table = pd.DataFrame(keys, columns=["measure", "first", "second"])
+    table = table.join(effects(pd.DataFrame(differences), clusters))
+
+    # Over the runs that both have the order may be another one.
+    is_turned = table["size"] < 0
+    for one, other in (("first", "second"), ("low", "high")):
+        table.loc[is_turned, [one, other]] = table.loc[is_turned, [other, one]].to_numpy()
+    table.loc[is_turned, ["size", "low", "high"]] *= -1
+    result = {}
+    for name, measure in measures.items():
+        pairs = table[table.measure == name].drop(columns="measure")
+        if measure.is_ratio:
+            pairs[["size", "low", "high"]] = 100 * np.expm1(pairs[["size", "low", "high"]])
+        names = tuple(map(str, columns[name]))
+        result[name] = Ranking(name, names, equal[name], pairs, measure.unit, clusters.num_groups)
+    return result
+
+
+def _without_equal(values: pd.DataFrame) -> tuple[pd.DataFrame, tuple[tuple[str, ...], ...]]:
+    """Return values, the least first, with one column for those that are equal on all runs, and the names of these."""
+    groups: dict[str, list[str]] = {}
+    for name in map(str, values):
+        same = [
+            each for each in groups if np.allclose(values[each], values[name], SAME, SAME, True)
+        ]
+        groups.setdefault(same[0] if same else name, []).append(name)
+    merged = values[[*groups]].rename(columns={each: " = ".join(groups[each]) for each in groups})
+    order = merged.mean().sort_values(kind="stable").index
+    return merged[order], tuple(tuple(each) for each in groups.values() if len(each) > 1)
+
+
+def concluded(
+    verdicts: Sequence[Verdict], *, more: str, done: str, wider: str = "", factor: float = 1.0
+) -> Conclusion:
+    """Return a study's verdicts with the command that decides the next thing, or uses what is decided.
+
+    Args:
+      verdicts: the most important first.
+      more: command of more runs, with a place for ``{needed}``: the fewest that would decide one of the verdicts.
+      done: where nothing is left that a study of this kind decides.
+      wider: of maps of wider bounds, where only they would decide.
+      factor: how many runs the command makes for each one that counts.
+    """
+    command = done
+    if any(each.kind is SharedVerdict.BORDER for each in verdicts):
+        command = wider
+    needed = [each.needed for each in verdicts if 0 < each.needed < math.inf]
+    if needed:
+        command = more.format(needed=math.ceil(factor * min(needed)))
+    return Conclusion(tuple(verdicts), command)
+
+
+def edge_band(maps: MetricMaps, cells: int = EDGE_CELLS) -> np.ndarray:
+    """Return ``[Y, X]`` bool: the cells that so few cells part from the border of the maps or of their data."""
+    has_data = maps.ds["has_data"].values
+    return ~ndimage.minimum_filter(has_data, 2 * cells + 1, mode="constant", cval=False)
+
+
+def is_at_edge(points_m: np.ndarray, grid: Grid, band: np.ndarray, cells: int = EDGE_CELLS) -> bool:
+    """Return whether a route comes into the band along the border, further from its ends than twice the band's width.
+
+    Args:
+      points_m: ``[N, 2]`` the route, metres from the map's southwest corner.
+      grid: of the maps.
+      band: from `edge_band`.
+      cells: width of the band.
+    """
+    # Places along the route, half a cell apart at most, without those near its ends.
+    line = shapely.segmentize(shapely.LineString(points_m), grid.resolution_m / 2)
+    places_m = shapely.get_coordinates(line)
+    ends_m = np.asarray(points_m)[[0, -1]]
+    away_m = np.linalg.norm(places_m[:, None] - ends_m, axis=-1).min(axis=1)
+    x_m, y_m = (places_m[away_m > 2 * cells * grid.resolution_m] + grid.bounds_m[:2]).T
+    rows, cols = grid.cell_of_xy(x_m, y_m)
+    return bool(band[rows, cols].any())
+
+
+def border_verdict(
+    is_pinned: np.ndarray, noun: str = "routes", cells: int = EDGE_CELLS
+) -> list[Verdict]:
+    """Return how many routes the border may have decided; nothing where none comes near it.
+
+    Args:
+      is_pinned: ``[N]`` bool, of each route (`is_at_edge`).
+      noun: what they are.
+      cells: width of the band.
+    """
+    count = int(np.sum(is_pinned))
+    if not count:
+        return []
+    facts = {"count": count, "cells": cells}
+    n = len(is_pinned)
+    return [Verdict(SharedVerdict.BORDER, n=n, noun=noun, needed=math.nan, facts=facts)]

@@ -1,0 +1,116 @@
+"""What a wish costs, on routes that its weights were not fitted to."""
+
+from collections.abc import Sequence
+from enum import Enum
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.studies.bootstrap import Clusters, interval_columns
+from jaxurban.studies.decided import (
+    FEWEST_TO_HOLD_OUT,
+    Conclusion,
+    Verdict,
+    concluded,
+    effects,
+    runs_needed,
+)
+from jaxurban.studies.queries import LENGTH, PEOPLE, RouteQuery, outcome_label, outcomes_of
+from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.tuning.target import DETOUR, Target
+
+UNITS = {LENGTH: "m", PEOPLE: "times the shortest routes'", DETOUR: "above the shortest routes"}
+
+
+class WishVerdict(Enum):
+    """What is decided of a wish."""
+
+    HOLDS = "{first} holds on routes that the weights were not fitted to: {size} ({n})"
+    MISSED = "{first} is missed on routes that the weights were not fitted to: {size} ({n})"
+    OPEN = "Whether {first} holds on other routes is open: {size} on {n}"
+    COSTS = "With the wish {first} changes by {size} ({n})"
+    UNSEEN = "Whether {first} changes with the wish is open: {size} on {n}"
+
+
+def tested_outcomes(
+    queries: Sequence[RouteQuery], targets: Sequence[Target], weights: np.ndarray
+) -> pd.DataFrame:
+    """Return what routes are like without a wish and with it: a row per target, then per other outcome.
+
+    ``what`` is the target or the outcome; ``without_wish`` and ``with_wish`` are means over the queries, in ``unit``,
+    the latter with its interval; ``change`` with its interval; ``n``, the number of pairs of ends; and how many would
+    decide whether a target holds, else whether the outcome changes (``needed``). All intervals hold at once.
+
+    Args:
+      queries: ``Q``, which the weights were not fitted to, or were.
+      targets: of the fit.
+      weights: ``[2, K]`` without the wish, and with it.
+    """
+    # [Q, 3] each outcome of the shortest route, and of those without and with the wish.
+    names = queries[0].names
+    rows = np.vstack([np.eye(len(names))[:1], weights])
+    values = outcomes_of(RoutePool(queries).cheapest(rows)[1], names)
+    if PEOPLE in values:
+        values[PEOPLE] = values[PEOPLE] / max(float(values[PEOPLE][:, 0].mean()), 1e-9)
+    values = {DETOUR: values[LENGTH] / values[LENGTH][:, :1] - 1, **values}
+
+    # Every outcome with the wish, and its change; queries between the same cells are drawn together.
+    wished = [target.outcome for target in targets]
+    outcomes = [*wished, *(name for name in values if name not in (*wished, DETOUR))]
+    _, before, after = np.transpose([values[name] for name in outcomes], (2, 0, 1))
+    group, _ = pd.factorize(pd.Series([(query.start, query.goal) for query in queries]))
+    table = effects(np.vstack([after, after - before]).T, Clusters(group))
+    reached, change = np.split(table[["size", "low", "high"]].to_numpy(), 2)
+    num = table.n[: len(outcomes)]
+    needed = table.needed[len(outcomes) :].to_numpy(copy=True)
+    for number, target in enumerate(targets):
+        size, low, high = reached[number] - target.value
+        needed[number] = runs_needed(size, low, high, num[number])
+    return pd.DataFrame(
+        {
+            "what": [*map(str, targets), *outcomes[len(targets) :]],
+            "unit": [UNITS.get(name, "") for name in outcomes],
+            "without_wish": before.mean(axis=1),
+            **dict(zip(interval_columns("with_wish"), reached.T, strict=True)),
+            **dict(zip(interval_columns("change"), change.T, strict=True)),
+            "n": num,
+            "needed": needed,
+        }
+    )
+
+
+def wish_conclusion(
+    tested: pd.DataFrame, targets: Sequence[Target], num_held_out: int, num: int
+) -> Conclusion:
+    """Return what a fit to targets decided.
+
+    Args:
+      tested: from `tested_outcomes`.
+      targets: of the fit.
+      num_held_out: routes of the test that the fit did not see; 0: it saw all, so that nothing is decided.
+      num: routes in all.
+    """
+    verdicts = []
+    for number, row in enumerate(tested.to_dict("records")):
+        needed = row["needed"]
+        if not num_held_out:
+            needed = max(needed, FEWEST_TO_HOLD_OUT)
+        name = "change"
+        label = outcome_label(row["what"])
+        kind = WishVerdict.UNSEEN if needed else WishVerdict.COSTS
+        if number < len(targets):
+            target = targets[number]
+            name, label = "with_wish", str(target)
+            is_kept = target.sign * (row[name] - target.value) > 0
+            kind = WishVerdict.HOLDS if is_kept else WishVerdict.MISSED
+            if needed:
+                kind = WishVerdict.OPEN
+        size, low, high = (row[column] for column in interval_columns(name))
+        num_pairs, unit = row["n"], row["unit"]
+        verdicts.append(Verdict(kind, (label,), size, low, high, num_pairs, unit, needed=needed))
+    return concluded(
+        verdicts,
+        more='jaxurban tune DIR --sample {needed} --wish "..." -o OUT',
+        factor=num / (num_held_out or num),
+        done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --weights ...",
+    )

@@ -1,0 +1,163 @@
+"""What a study of weights decided, as records (`jaxurban.studies.decided`)."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.studies.bootstrap import Clusters
+from jaxurban.studies.decided import (
+    Measure,
+    Verdict,
+    border_verdict,
+    effects,
+    ranked,
+)
+from jaxurban.studies.weights.one_route import OneRoute
+from jaxurban.studies.weights.routes import ROUTE_KEY
+from jaxurban.studies.weights.settings import SensitivitySettings
+from jaxurban.studies.weights.summary import ALL, HEIGHTS
+
+PAID_WORDS = {
+    "more_length_m": "m of way",
+    "more_people_below": "people below",
+    "more_no_fix_m": "m without a fix",
+}
+CHANGE_WORDS = {
+    HEIGHTS: "heights drawn within their uncertainty",
+    "time": "satellites of another time",
+    "time_of_day": "people of another time of day",
+}
+OF_COST = "% of the cost"
+
+
+class WeightVerdict(Enum):
+    """Kinds of verdicts on weights; each is a sentence with places for the record's fields."""
+
+    MATTERS_MORE = (
+        "{first} matters more than {last}, by {size} where they are {wrong:g} times wrong ({n})"
+    )
+    TIED = "which of {what} matters more ({first} over {last}: {size}, {n})"
+    COSTS = "{first} {wrong:g} times wrong costs {size}: {paid} (means of {n})"
+    NO_CHANGE = "no factor of {what} from {low:g} to {high:g} changes any of {n}"
+    OTHER_WAY = (
+        "{first} times {factor:.3g} sends the drone another way: {paid}, at {size} more cost"
+    )
+    WAY_AT_EDGE = (
+        "{first} times {factor:.3g} sends the drone another way, along the border of the maps: {paid}, "
+        "at {size} more cost"
+    )
+    NO_WAY = "no factor of {what} from {low:g} to {high:g} sends the drone another way"
+    OTHER_MAPS = (
+        "on maps with {first} {size} of the routes are others, and keeping a route there costs "
+        "{kept:.2g} % more ({n})"
+    )
+    ONE_ROUTE = "whether other routes change at these factors, which one route cannot say"
+
+
+def verdicts_of(
+    tables: Mapping[str, pd.DataFrame],
+    route: OneRoute | None,
+    settings: SensitivitySettings,
+) -> list[Verdict]:
+    """Return what a study says of its weights, the most important first.
+
+    Args:
+      tables: of the study: ``routes``, ``weights``, and ``changed_summary`` where it has one.
+      route: what only a study of one route has.
+      settings: of the study.
+    """
+    weights = tables["weights"]
+    verdicts = list(_ways(route, settings) if route else _ranks(weights, settings))
+    if "changed_summary" in tables:
+        changed = tables["changed_summary"]
+        verdicts += map(_on_other_maps, changed[changed.cut == ALL].to_dict("records"))
+    return verdicts + border_verdict(tables["routes"].at_edge.dropna().to_numpy() > 0)
+
+
+def _ranks(weights: pd.DataFrame, settings: SensitivitySettings) -> Iterator[Verdict]:
+    """Yield how the weights rank, what each costs where it is wrong, and which change nothing.
+
+    Args:
+      weights: a row per route and weight.
+      settings: of the study.
+    """
+    # The weights that change any route, and those that change none, which have no rank.
+    varied = weights[weights.varies]
+    wrong = {"wrong": settings.wrong}
+    is_changed = varied[["below", "above"]].notna().any(axis=1)
+    changes = is_changed.groupby(varied.weight_name, sort=False).any()
+    names = changes.index[changes].tolist()
+    dead = changes.index[~changes].tolist()
+
+    # The regrets, in %, a row per route and a column per weight. Weights that a city lacks have no rank.
+    regrets = 100 * varied.pivot(index=[*ROUTE_KEY], columns="weight_name", values="regret")
+    keys = regrets.index.to_frame()
+    clusters = Clusters(keys.instance, keys.city)
+    measure = Measure(regrets[names].dropna(axis=1), OF_COST, is_better_high=True)
+    if measure.values.shape[1] > 1:
+        ranking = ranked({"regret": measure}, clusters)["regret"]
+        kinds = WeightVerdict.MATTERS_MORE, "routes", WeightVerdict.TIED
+        for verdict in ranking.verdicts(*kinds):
+            yield replace(verdict, facts={**verdict.facts, **wrong})
+
+    # No regret is below 0, so its size is what it says.
+    costs = effects(regrets, clusters).loc[names].sort_values("size", ascending=False)
+    rows: Any = costs.assign(low=costs.low.clip(lower=0)).itertuples()
+    for row in rows:
+        more = varied[varied.weight_name == row.Index].mean(numeric_only=True)
+        facts = wrong | {"paid": paid_said(more)}
+        size = row.size, row.low, row.high
+        yield Verdict(WeightVerdict.COSTS, (row.Index,), *size, row.n, OF_COST, facts=facts)
+    if dead:
+        yield Verdict(
+            WeightVerdict.NO_CHANGE, tuple(dead), 0.0, n=len(regrets), facts=_range(settings)
+        )
+
+    # Routes that the border may have made, if one of the weights is wrong.
+    sent = varied.groupby([*ROUTE_KEY]).more_at_edge.max()
+    yield from border_verdict(
+        sent.to_numpy() > 0, f"routes with one weight {settings.wrong:g} times wrong"
+    )
+
+
+def _ways(route: OneRoute, settings: SensitivitySettings) -> Iterator[Verdict]:
+    """Yield where a weight of a single route sends the drone another way, the nearest factors first."""
+    ways = route.ways[route.ways.factor.notna()]
+    nearest = np.log(ways.factor).abs().sort_values().index
+    for row in ways.loc[nearest].to_dict("records"):
+        kind = WeightVerdict.WAY_AT_EDGE if row["at_edge"] else WeightVerdict.OTHER_WAY
+        facts = {"factor": row["factor"], "paid": paid_said(row)}
+        more = 100 * row["more_cost"]
+        yield Verdict(kind, (row["weight_name"],), more, n=1, unit="%", facts=facts)
+    calm = tuple(name for name in route.lines if name not in set(ways.weight_name))
+    if calm:
+        yield Verdict(WeightVerdict.NO_WAY, calm, n=1, facts=_range(settings))
+    yield from border_verdict(ways.at_edge.to_numpy() > 0, "other ways")
+    yield Verdict(WeightVerdict.ONE_ROUTE, tuple(route.lines), n=1, needed=math.nan)
+
+
+def _on_other_maps(row: Mapping[Any, Any]) -> Verdict:
+    """Return how a change of maps changes routes, from a row of the summary of them."""
+    share, low, high = (100 * row[f"is_other{end}"] for end in ("", "_low", "_high"))
+    words = CHANGE_WORDS.get(row["change"], row["change"])
+    facts = {"kept": 100 * row["nominal_regret"]}
+    kind = WeightVerdict.OTHER_MAPS
+    noun = "route" if row["routes"] == 1 else "routes"
+    return Verdict(kind, (words,), share, low, high, row["routes"], "%", noun, facts=facts)
+
+
+def _range(settings: SensitivitySettings) -> dict[str, float]:
+    """Return the ends of the factors in which breakpoints are looked for."""
+    low, high = settings.factors
+    return {"low": low, "high": high}
+
+
+def paid_said(more: Mapping[Any, Any]) -> str:
+    """Return what a user pays more for a route, in words, as far as the maps know it."""
+    known = {words: more[name] for name, words in PAID_WORDS.items() if np.isfinite(more[name])}
+    return ", ".join(f"{value + 0.0:+,.0f} {words}" for words, value in known.items())

@@ -1,0 +1,178 @@
+"""What studies decide, where the answer is known: few seeds of the cases of `benchmarks.decisions`."""
+
+import math
+from enum import Enum
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmarks.decisions import border_outcome, open_map, random_case
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters
+from jaxurban.studies.decided import (
+    Conclusion,
+    Measure,
+    SharedVerdict,
+    Verdict,
+    border_verdict,
+    concluded,
+    edge_band,
+    effects,
+    is_at_edge,
+    ranked,
+    runs_needed,
+    sized,
+)
+
+NUM = 60
+
+
+class Kind(Enum):
+    MORE = "{last} costs {size} more than {first} ({n})"
+
+
+def ranking_of(num: int = NUM, **columns):
+    """Return the ranks of alternatives by what each costs of a common cost, with 2 % of noise for each run."""
+    rng = np.random.default_rng(3)
+    cost = rng.lognormal(4.0, 0.8, num)
+    values = {name: cost * factor for name, factor in columns.items()}
+    values = {name: cost * np.exp(rng.normal(0, 0.02, num)) for name, cost in values.items()}
+    values["twin"] = values["good"] * (1 + 1e-12)
+    measure = Measure(pd.DataFrame(values), is_ratio=True)
+    return ranked({"cost": measure}, Clusters(np.arange(num)))["cost"]
+
+
+def test_what_is_equal_is_one_and_what_is_worse_is_behind_and_ties_share_a_rank():
+    ranking = ranking_of(good=1.0, bad=1.1, worse=1.1)
+    assert ranking.equal == (("good", "twin"),)
+    assert ranking.table.set_index("name")["rank"].to_dict() == {
+        "good = twin": 1,
+        "bad": 2,
+        "worse": 2,
+    }
+    verdicts = ranking.verdicts(Kind.MORE, "routes")
+    assert [each.kind.name for each in verdicts] == ["MORE", "MORE", "TIED", "EQUAL"]
+    for verdict in verdicts[:2]:
+        assert verdict.is_decided
+        assert verdict.low < 10 < verdict.high
+        assert verdict.size == pytest.approx(10, abs=2)
+    tied, equal = verdicts[2:]
+    assert {*tied.what} == {"bad", "worse"}
+    assert NUM < tied.needed < math.inf
+    assert (equal.what, equal.size, equal.needed) == (("good", "twin"), 0.0, math.inf)
+    assert equal.sentence.endswith("; no number of routes would change that")
+
+
+def test_of_fewer_runs_than_have_an_interval_nothing_is_decided():
+    verdicts = ranking_of(num=FEWEST_GROUPS - 1, good=1.0, bad=2.0).verdicts(Kind.MORE, "routes")
+    assert not any(each.is_decided for each in verdicts)
+    assert {each.needed for each in verdicts} == {FEWEST_GROUPS}
+
+
+def test_as_many_runs_as_are_said_to_be_needed_decide_a_planner_better_by_one_percent():
+    rng = np.random.default_rng(0)
+    half = 0.02 * 1.96 / math.sqrt(12)
+    num = int(runs_needed(0.01, 0.01 - half, 0.01 + half, 12))
+    assert 40 <= num <= 44
+    decided = [
+        effects(rng.normal(0.01, 0.02, (num, 1)), Clusters(np.arange(num))).needed[0] == 0
+        for _ in range(40)
+    ]
+    assert np.mean(decided) >= 0.8
+
+
+@pytest.mark.parametrize(
+    ("size", "low", "high", "needed"),
+    [
+        (0.0, 0.0, 0.0, math.inf),
+        (1.0, 0.5, 1.5, 0.0),
+        (1e-9, -1.0, 1.0, math.inf),
+        (1.0, np.nan, np.nan, 21),
+        (1.0, -1.0, 3.0, 220.0),
+    ],
+)
+def test_runs_needed(size, low, high, needed):
+    assert runs_needed(size, low, high, 20) == needed
+
+
+def test_intervals_of_many_effects_hold_at_once():
+    """Of 15 effects of 0 one interval of 95 % excludes 0 in half of the studies; all at once in one of twenty."""
+    rng = np.random.default_rng(1)
+    wrong = [
+        (effects(rng.normal(size=(30, 15)), Clusters(np.arange(30))).needed == 0).any()
+        for _ in range(60)
+    ]
+    assert np.mean(wrong) <= 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_cases_with_a_known_answer_are_not_decided_wrongly(seed):
+    case = random_case(seed)
+    num = case.stated_runs()
+    outcomes = [case.outcome(np.random.default_rng(k), num) for k in range(12)]
+    wrong, decided = np.sum(outcomes, axis=0)
+    assert wrong <= 2
+    assert decided >= 8
+
+
+@pytest.mark.slow
+def test_the_route_that_the_border_pins_is_counted_and_no_other():
+    assert [border_outcome(seed) for seed in range(3)] == [(False, True)] * 3
+
+
+def test_a_route_is_at_the_border_away_from_its_ends_alone():
+    maps = open_map({"gps": np.ones((30, 40))})
+    band = edge_band(maps)
+    assert band.sum() == 30 * 40 - 24 * 34
+    for row, is_pinned in ((15, False), (29, True)):  # from one side of the maps to the other
+        line = np.array([[5.0, 155], [205, 10 * row + 5], [395, 155]])
+        assert is_at_edge(line, maps.grid, band) == is_pinned
+    maps.ds["has_data"][:, 20:] = False
+    assert edge_band(maps)[10, 17:].all()
+
+
+def test_the_border_is_not_decided_by_more_routes():
+    (verdict,) = border_verdict(np.array([True, False, False]))
+    assert verdict.sentence.startswith("1 of 3 routes come within 3 cells of the border")
+    assert not verdict.is_decided
+    assert border_verdict(np.zeros(3, bool)) == []
+    conclusion = concluded([verdict], more="{needed} more", done="done", wider="wider")
+    assert conclusion.next_command == "wider"
+
+
+def test_a_conclusion_has_three_lines_and_plain_records():
+    known = Verdict(Kind.MORE, ("a", "b"), 1.312, 0.92, 1.7, 40, "%")
+    unknown = Verdict(SharedVerdict.TIED, ("c", "d"), 1.0, -1, 3, 40, "m", needed=120.0)
+    facts = {"measure": "length"}
+    unknown = Verdict(**{**vars(unknown), "facts": facts})
+    conclusion = concluded([known, unknown], more="run {needed}", done="done", factor=4)
+    assert conclusion.facts == {
+        "decided": "b costs 1.31 % (0.92 to 1.70) more than a (40 routes).",
+        "not decided": "c and d cannot be told apart in length (d over c: 1.0 m (-1.0 to 3.0), 40 routes); some 120 "
+        "routes would decide so large an effect.",
+        "next": "run 480",
+    }
+    records = conclusion.to_dict()["verdicts"]
+    assert [(each["kind"], each["is_decided"]) for each in records] == [
+        ("more", True),
+        ("tied", False),
+    ]
+    assert Conclusion((), "done").facts == {
+        "decided": "Nothing.",
+        "not decided": "Nothing.",
+        "next": "done",
+    }
+
+
+@pytest.mark.parametrize(
+    ("numbers", "text"),
+    [
+        ((1.312, 0.92, 1.7), "1.31 (0.92 to 1.70)"),
+        ((1234.5, 1100.0, 1400.0), "1,234 (1,100 to 1,400)"),
+        ((2.2e-16, 0.0, 0.0), "0 (0 to 0)"),
+        ((0.12345, np.nan, np.nan), "0.123"),
+        ((-1e-12, -0.002, 0.002), "0.0000 (-0.0020 to 0.0020)"),
+    ],
+)
+def test_no_digit_says_what_is_not_known(numbers, text):
+    assert sized(*numbers) == text
