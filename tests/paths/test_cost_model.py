@@ -18,7 +18,6 @@ from jaxurban.io.files import write_json
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.export.write import write_path
 from jaxurban.studies.montecarlo.trial import Benchmark
-from jaxurban.studies.weights import sobol
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.paths.volumes import REGION, with_roofs
@@ -55,12 +54,6 @@ def maps() -> ju.MetricMaps:
     for name in ("gps", "lidar", "population", "risk"):
         maps.ds[name][:] = rng.uniform(0.05, 1.0, maps.ds[name].shape).astype(np.float32)
     return maps
-
-
-@pytest.fixture(autouse=True)
-def few_draws(monkeypatch):
-    monkeypatch.setattr(sobol, "NUM_REPEATS", 2)
-    monkeypatch.setattr(sobol, "NUM_NOISE", 2)
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ half. **Within satellites** both are the same satellite at two times, so that it
 strong signals. Neighbouring rows of a drive are alike, so intervals are of the bootstrap over blocks of the track.
 """
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -36,6 +37,7 @@ class SkyVerdict(Enum):
 
     MORE = "{what}: what the maps see is heard more strongly than what they hide, AUC {size} ({n})"
     LESS = "{what}: what the maps see is heard less strongly than what they hide, AUC {size} ({n})"
+    NONE = "{what}: the maps do not have both seen and hidden ones, so there is nothing to compare ({n})"
     OPEN = "{what}: whether what the maps see is heard more strongly is open, AUC {size} ({n})"
 
 
@@ -102,7 +104,9 @@ class ReceiverValidation(Result):
             value, low, high = self.score()[interval_columns(name)]
             needed = runs_needed(value - CHANCE, low - CHANCE, high - CHANCE, num)
             kind = SkyVerdict.MORE if value > CHANCE else SkyVerdict.LESS
-            if needed:
+            if math.isnan(value):
+                kind, needed = SkyVerdict.NONE, math.nan
+            elif needed:
                 kind = SkyVerdict.OPEN
             verdicts.append(Verdict(kind, (what,), value, low, high, num, "", noun, needed))
         return concluded(
