@@ -143,7 +143,7 @@ def _line(verdicts: Sequence[Verdict]) -> str:
     sentences = [verdict.sentence for verdict in verdicts[:SHOWN]]
     if len(verdicts) > SHOWN:
         sentences.append(f"{len(verdicts) - SHOWN} more in the records")
-    return ". ".join(sentences) + "." if sentences else "Nothing."
+    return "; ".join(sentences) + "." if sentences else "Nothing."
 
 
 def sized(value: float, low: float, high: float, unit: str = "") -> str:

@@ -41,7 +41,7 @@ def test_what_is_unknown_is_no_number_of_the_report_and_is_drawn():
     rows = made().rows.assign(is_seen=True, margin_m=np.inf)
     all_seen = replace(made(), rows=rows, scores=made().scores.assign(**unknown))
     assert "nan" not in validation_markdown(all_seen)
-    assert "not defined" in all_seen.facts["AUC"]
+    assert "there is nothing to compare" in all_seen.facts["not decided"]
     for draw in satellite_figures(all_seen).values():
         assert draw().axes
 
