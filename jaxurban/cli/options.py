@@ -3,7 +3,7 @@
 import inspect
 import re
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import partial, wraps
 from types import NoneType, UnionType
@@ -157,36 +157,6 @@ class Values(click.ParamType):
                 self.fail(f"{name} stands twice: give it one value", param, ctx)
             values[name] = type_of(self.hints[name]).convert(text.strip(), param, ctx)
         return values
-
-
-class DependentOption(click.Option):
-    """An option that says nothing without another one, its owner.
-
-    Args:
-      owner: the other option, such as ``"--volume"``.
-    """
-
-    def __init__(self, *args: Any, owner: str, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.owner = owner
-
-    def handle_parse_result(
-        self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
-    ) -> tuple[Any, list[str]]:
-        """Return the value and what is left to parse, as for any option.
-
-        Args:
-          ctx: of the command, whose parameters include the owner.
-          opts: values of the options that are given, by their names in Python.
-          args: what is left to parse.
-
-        Raises:
-          UsageError: the option is given, and its owner is not.
-        """
-        owner = next(param for param in ctx.command.params if self.owner in param.opts)
-        if self.name in opts and owner.name not in opts:
-            raise click.UsageError(f"{self.opts[0]} belongs to {self.owner}: add that")
-        return super().handle_parse_result(ctx, opts, args)
 
 
 def type_of(hint: Any) -> Any:
