@@ -102,6 +102,8 @@ class Verdict:
             return sentence
         if math.isinf(self.needed):
             return f"{sentence}; no number of {self.noun} would change that"
+        if math.isnan(self.low):
+            return f"{sentence}; an interval takes {self.needed:,.0f} {self.noun}"
         return f"{sentence}; some {self.needed:,.0f} {self.noun} would decide so large an effect"
 
 
@@ -294,7 +296,10 @@ class Ranking:
         return verdicts
 
     def _tied(self) -> Iterator[tuple[tuple[str, ...], Any]]:
-        """Yield names that follow each other, as many as have no decided pair, and the pair of the outermost."""
+        """Yield names that follow each other, as many as have no decided pair, and the pair of the outermost.
+
+        The better one of the outermost, on the runs that both have, stands first and the other last.
+        """
         pair_of = {frozenset((row.first, row.second)): row for row in self.pairs.itertuples()}
         end = 0
         for begin in range(len(self.names)):
@@ -305,8 +310,9 @@ class Ranking:
                     break
                 stop += 1
             if stop > max(end, begin + 1):
-                names = self.names[begin:stop]
-                yield names, pair_of[frozenset((names[0], names[-1]))]
+                outermost = pair_of[frozenset((self.names[begin], self.names[stop - 1]))]
+                between = self.names[begin + 1 : stop - 1]
+                yield (outermost.first, *between, outermost.second), outermost
             end = max(end, stop)
 
 

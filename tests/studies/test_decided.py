@@ -164,6 +164,18 @@ def test_a_conclusion_has_three_lines_and_plain_records():
     }
 
 
+def test_of_two_that_cannot_be_told_apart_the_better_one_on_common_runs_stands_first():
+    """Astar alone solved the two long pairs, so its own mean is the greater one."""
+    values = pd.DataFrame({"ptp": [10.0, 11.0] + [np.nan] * 10, "astar": [9.0, 10.0] + [50.0] * 10})
+    ranking = ranked({"cost": Measure(values, is_ratio=True)}, Clusters(np.arange(12)))["cost"]
+    (tied,) = ranking.verdicts(SharedVerdict.TIED, "instances")
+    assert tied.what == ("astar", "ptp")
+    assert tied.sentence == (
+        "astar and ptp cannot be told apart in cost (ptp over astar: 10.6 %, 2 instances); "
+        "an interval takes 8 instances"
+    )
+
+
 @pytest.mark.parametrize(
     ("numbers", "text"),
     [

@@ -209,8 +209,10 @@ def conclusion(table: pd.DataFrame) -> Conclusion:
       table: from `with_instances`.
     """
     verdicts: list[Verdict] = []
-    for kind, ranking in zip(StudyVerdict, rankings(table).values(), strict=False):
+    rankings_of = rankings(table)
+    for kind, ranking in zip(StudyVerdict, rankings_of.values(), strict=False):
         verdicts += ranking.verdicts(kind, "instances")
+    num_joined = max((ranking.n for ranking in rankings_of.values()), default=0)
     best = best_rows(table)
     verdicts += border_verdict(best.at_edge.to_numpy() == 1)
     return concluded(
@@ -218,6 +220,7 @@ def conclusion(table: pd.DataFrame) -> Conclusion:
         more="jaxurban study SCENARIO -o DIR --set study.instances={needed}",
         wider='jaxurban study SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
         done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --planner PLANNER",
+        factor=table.instance.nunique() / max(num_joined, 1),
     )
 
 
