@@ -106,8 +106,8 @@ def wish_conclusion(
             if needed:
                 kind = WishVerdict.OPEN
         size, low, high = (row[column] for column in interval_columns(name))
-        num_pairs, unit = row["n"], row["unit"]
-        verdicts.append(Verdict(kind, (label,), size, low, high, num_pairs, unit, needed=needed))
+        num_pairs, unit, noun = row["n"], row["unit"], "pairs of ends"
+        verdicts.append(Verdict(kind, (label,), size, low, high, num_pairs, unit, noun, needed))
     return concluded(
         verdicts,
         more='jaxurban tune DIR --sample {needed} --wish "..." -o OUT',
