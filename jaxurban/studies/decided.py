@@ -300,7 +300,9 @@ class Ranking:
 
         The better one of the outermost, on the runs that both have, stands first and the other last.
         """
-        pair_of = {frozenset((row.first, row.second)): row for row in self.pairs.itertuples()}
+        pair_of: dict[frozenset, Any] = {
+            frozenset((row.first, row.second)): row for row in self.pairs.itertuples()
+        }
         end = 0
         for begin in range(len(self.names)):
             stop = begin + 1
