@@ -40,18 +40,18 @@ def least_heights(
     """
     # Heights at which satellites come into view, those that fill up last.
     weights = jnp.asarray(satellites.weights).reshape(-1, *[1] * roof_m.ndim)
-    height_m = jnp.where(weights > 0, jnp.maximum(shadow_m, roof_m), jnp.inf)
+    height_m = jnp.where(weights > 0, jnp.maximum(shadow_m, roof_m[None]), jnp.inf)
 
     def least(heights_m: Array) -> Array:
         """Return the least good height of each of a block of cells, from ``[S, C]`` heights of satellites."""
 
         def bad(at_m: Array) -> Array:
             """Return ``[C]`` heights where the DOP there is bad, else -inf."""
-            is_seen = (heights_m <= at_m).astype(heights_m.dtype)
+            is_seen = (heights_m <= at_m[None]).astype(heights_m.dtype)
             values = getattr(dops(satellites, is_seen), dop)
             return jnp.where(values <= threshold, -jnp.inf, at_m)
 
         highest_bad_m = jnp.max(lax.map(bad, heights_m), axis=0)
-        return jnp.min(jnp.where(heights_m > highest_bad_m, heights_m, jnp.inf), axis=0)
+        return jnp.min(jnp.where(heights_m > highest_bad_m[None], heights_m, jnp.inf), axis=0)
 
     return by_device_cells(least, height_m)

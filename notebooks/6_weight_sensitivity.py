@@ -42,6 +42,8 @@ start, goal = (
 found = ju.studies.sensitivity(
     maps, folder / "one", [(start, goal)], altitudes_m=[20.0], snap=True, progress=False
 )
+route = found.route  # none where no path joins the ends
+assert route is not None
 found.decided
 
 # %% [markdown]
@@ -60,10 +62,10 @@ found.tables["weights"][["weight_name", "elasticity", "below", "above", "regret"
 # Along each weight the cheapest cost bends at every breakpoint.
 
 # %%
-plot_breakpoints(found.route)
+plot_breakpoints(route)
 
 # %%
-plot_breakpoint_routes(found.route)
+plot_breakpoint_routes(route)
 
 # %% [markdown]
 # Most breakpoints move the route by a cell or two. At which `factor` does the drone fly another way, which keeps less
@@ -78,7 +80,7 @@ found.tables["ways"].round(3)
 # the mean of a map along the route.
 
 # %%
-found.route.breakpoints("lidar").drop(columns="weight_name").round(3)
+route.breakpoints("lidar").drop(columns="weight_name").round(3)
 
 # %% [markdown]
 # ## All weights at once
@@ -96,7 +98,7 @@ found.tables["sobol"].drop(columns=["city", "instance", "altitude_m"]).round(2)
 # No route on this front can be bettered in one objective without giving up some of another.
 
 # %%
-plot_pareto(found.route)
+plot_pareto(route)
 
 # %% [markdown]
 # ## Try it yourself

@@ -120,6 +120,7 @@ found = ju.studies.sensitivity(
     settings=settings,
     progress=False,
 )
+assert found.route is not None
 plot_breakpoint_routes(found.route)
 
 # %% [markdown]

@@ -728,7 +728,7 @@ TABLE: dict[str, dict[str, Any]] = {
     "GpsFloor": {"dop_threshold": 3.0, "dop": Case("vdop", {"dop_threshold": 3.0})},
     "Protection": {
         "horizontal_alert_limit_m": 60.0,
-        "vertical_alert_limit_m": 60.0,
+        "vertical_alert_limit_m": 1.0,
         "sigma_ura_m": 5.0,
         "sigma_ure_m": 5.0,
         "bias_m": 5.0,

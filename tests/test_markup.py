@@ -50,7 +50,7 @@ def hostile_maps() -> ju.MetricMaps:
         "crs": crs_named(HOSTILE),
         "attribution": HOSTILE,
         **attribute(heights(0.5, HOSTILE), Guess(GuessKind.EMPTY_LAYER, facts={"layer": HOSTILE})),
-        "constellations": [HOSTILE],
+        "constellations": HOSTILE,
         "settings": json.dumps({"gps": {"orbits": [HOSTILE]}, "planning": {}}),
     }
     ds = made_maps(24, 30).ds.assign_attrs(attrs)

@@ -377,7 +377,7 @@ class Scenario(BaseModel):
           >>> region = {"bounds": [-74.02, 40.70, -73.98, 40.73]}
           >>> scenario = ju.Scenario.from_dict({"region": region, "buildings": {"source": "synthetic"}})
           >>> scenario.planning.planner
-          'astar-plus'
+          'astar'
         """
         folder = Path(folder or "")
         with_bounds, extent = _with_bounds(filled(settings), folder)

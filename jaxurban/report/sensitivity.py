@@ -101,7 +101,7 @@ class Sensitivity(FactsRepr):
       ...     {"demo": maps}, "weights", 2, altitudes_m=[60.0], settings=chosen, progress=False
       ... )
       >>> list(result.tables), result.is_sampled
-      (['routes', 'weights', 'summary'], True)
+      (['routes', 'weights', 'summary', 'changed', 'changed_summary'], True)
     """
 
     folder: Path

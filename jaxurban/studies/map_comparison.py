@@ -260,7 +260,7 @@ def compare(
       gps      1    891       0    792
       lidar    1    891       0      0
       >>> routes = ju.studies.compare(maps, higher_mask, routes=20, progress=False).routes
-      >>> len(routes), routes["is_closed"].max()
+      >>> len(routes), float(routes["is_closed"].max())
       (20, 0.0)
     """
     # The arguments, and the part that both maps hold.
