@@ -264,7 +264,9 @@ def region_maps(
         return maps | by_time, {}
     row_sums = {}
     threshold = inputs.settings["gps"].availability_threshold
-    for name in by_time.keys() - no_costs:
+    for name in [
+        name for name in by_time if name not in no_costs
+    ]:  # in order: one program, as a set has none
         m = by_time[name]
         whole = jnp.nan_to_num(jnp.rint(m * SCALE)).astype(jnp.int32)
         row_sums[name] = jnp.sum(whole, axis=-1)
