@@ -105,14 +105,14 @@ def _ranks(weights: pd.DataFrame, settings: SensitivitySettings) -> Iterator[Ver
         for verdict in ranking.verdicts(*kinds):
             yield replace(verdict, facts={**verdict.facts, **wrong})
 
-    # No regret is below 0, so its size is what it says.
+    # No regret is below 0; one whose interval reaches 0 is not decided.
     costs = effects(regrets, clusters).loc[names].sort_values("size", ascending=False)
     rows: Any = costs.assign(low=costs.low.clip(lower=0)).itertuples()
     for row in rows:
         more = varied[varied.weight_name == row.Index].mean(numeric_only=True)
         facts = wrong | {"paid": paid_said(more)}
-        size = row.size, row.low, row.high
-        yield Verdict(WeightVerdict.COSTS, (row.Index,), *size, row.n, OF_COST, facts=facts)
+        about = row.size, row.low, row.high, row.n, OF_COST, "routes", row.needed
+        yield Verdict(WeightVerdict.COSTS, (row.Index,), *about, facts)
     if dead:
         yield Verdict(
             WeightVerdict.NO_CHANGE, tuple(dead), 0.0, n=len(regrets), facts=_range(settings)
@@ -160,4 +160,4 @@ def _range(settings: SensitivitySettings) -> dict[str, float]:
 def paid_said(more: Mapping[Any, Any]) -> str:
     """Return what a user pays more for a route, in words, as far as the maps know it."""
     known = {words: more[name] for name, words in PAID_WORDS.items() if np.isfinite(more[name])}
-    return ", ".join(f"{value + 0.0:+,.0f} {words}" for words, value in known.items())
+    return ", ".join(f"{round(value):+,} {words}" for words, value in known.items())
