@@ -22,6 +22,7 @@ from jaxurban.cli.common import (
     SHOWN,
     MapsOf,
     Settings,
+    finite_records,
     log_lines,
     print_json,
     run_study,
@@ -39,7 +40,7 @@ from jaxurban.studies.receiver.settings import ReceiverSettings
     "--routes",
     type=COUNT,
     default=0,
-    help="Pairs of places at each altitude whose route on A is judged on B.",
+    help="Pairs of places whose route on A, at each altitude, is judged on B.",
 )
 @SEED
 @OVERWRITE
@@ -68,16 +69,13 @@ def compare_command(
     result = run_study("compare", output, study, overwrite)
     log_lines(result.decided.facts)
     if as_json:
-        from jaxurban.io.tables import records_of
-
+        tables = finite_records({"layers": result.table, "routes": result.routes})
         facts = {
             "left_out": list(result.left_out),
             "settings": result.settings,
-            "layers": records_of(result.table),
-            "routes": records_of(result.routes),
             "decided": result.decided.to_dict(),
         }
-        print_json(_places_of(output) | facts)
+        print_json(_places_of(output) | tables | facts)
 
 
 def _places_of(output: Path) -> Settings:
@@ -106,12 +104,11 @@ def validate_command(
     scenario_file: Path,
     log_file: Path | None,
     output: Path,
-    navigation: Path | None,
-    reference: Path | None,
     changes: tuple[str, ...],
     settings: ReceiverSettings,
     overwrite: bool,
     as_json: bool,
+    **files: Path | None,
 ) -> None:
     """Say which satellites of a receiver's log a city hides.
 
@@ -129,19 +126,8 @@ def validate_command(
     from jaxurban.io.tables import records_of
     from jaxurban.studies.receiver.validate import validate
 
-    result = run_study(
-        "validate",
-        output,
-        partial(
-            validate,
-            scenario,
-            log_file,
-            settings,
-            navigation=navigation,
-            reference=reference,
-        ),
-        overwrite,
-    )
+    study = partial(validate, scenario, log_file, settings, **files)
+    result = run_study("validate", output, study, overwrite)
     log_lines(result.decided.facts)
     if as_json:
         (summary,) = records_of(pd.DataFrame([result.summary]))

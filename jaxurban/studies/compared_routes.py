@@ -1,15 +1,11 @@
 """Routes planned on one set of maps and judged by another: what a difference of maps changes for routes."""
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import shapely
 
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.batch import plan_many
-from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.queries import IN_METRES
 from jaxurban.progress import Report
@@ -63,10 +59,27 @@ def compared_routes(
     # What each route costs on B.
     maps_b = {z_m: cost_map(b, z_m, time=times[1]) for z_m in b.altitudes_m}
     band = edge_band(a)
-    rows = []
+    rows: list[dict[str, float]] = []
     for altitude_m, path, best in zip(table.altitude_m, on_a, on_b, strict=True):
-        rows.append(_judged(maps_b[altitude_m], path, best, band) if has_path(path) else {})
-    judged = pd.DataFrame(rows, table.index, JUDGED)
+        rows.append({})
+        if path is None or not path.status.has_path:
+            continue
+        problem = maps_b[altitude_m].problem
+        features = problem.features(path.search.points_m)
+        rows[-1] = {
+            "length_m": path.length_m,
+            "cost": path.search.cost,
+            "cost_there": features.cost(problem.weights) if features.is_valid else np.nan,
+            "is_closed": float(not features.is_valid),
+            "at_edge": float(is_at_edge(path.search.points_m, a.grid, band)),
+        }
+        if best is not None and best.status.has_path:
+            lines = (shapely.LineString(each.search.points_m) for each in (path, best))
+            rows[-1] |= {
+                "best_there": best.search.cost,
+                "apart_m": float(shapely.hausdorff_distance(*lines)),
+            }
+    judged = pd.DataFrame(rows, columns=JUDGED)
     regret = (judged.cost_there / judged.best_there - 1).clip(lower=0)
     is_changed = (judged.is_closed > 0) | (regret > SAME)
     return table.assign(
@@ -76,36 +89,3 @@ def compared_routes(
         regret=regret,
         is_changed=is_changed.where(judged.is_closed.notna()).astype(float),
     )
-
-
-def has_path(path: PlannedPath | None) -> bool:
-    """Return whether a query of `plan_many` has a path."""
-    return path is not None and path.status.has_path
-
-
-def _judged(
-    on_b: CostMap, path: PlannedPath, best: PlannedPath | None, band: np.ndarray
-) -> dict[str, Any]:
-    """Return the columns `JUDGED` of a row (see `compared_routes`).
-
-    Args:
-      on_b: the cost map of B.
-      path: the cheapest path of A.
-      best: the cheapest path of B between the same ends, if there is one.
-      band: along the border of the data (`edge_band`).
-    """
-    points_m = path.search.points_m
-    features = on_b.problem.features(points_m)
-    facts = {
-        "length_m": path.length_m,
-        "cost": path.search.cost,
-        "is_closed": float(not features.is_valid),
-        "at_edge": float(is_at_edge(points_m, on_b.grid, band)),
-    }
-    if features.is_valid:
-        facts["cost_there"] = features.cost(on_b.problem.weights)
-    if best is not None and best.status.has_path:
-        facts["best_there"] = best.search.cost
-        lines = (shapely.LineString(each) for each in (points_m, best.search.points_m))
-        facts["apart_m"] = float(shapely.hausdorff_distance(*lines))
-    return facts

@@ -1,12 +1,11 @@
 """compare: two sets of maps of one place, cell by cell, on the part that both hold."""
 
 import shlex
-import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -17,7 +16,7 @@ from jaxurban.io.files import read_json
 from jaxurban.io.results import Result
 from jaxurban.io.stored import RUN_FILE
 from jaxurban.knowledge import names_of
-from jaxurban.maps.metric_maps import MapsLike, MetricMaps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.provenance import Differing, differing
 from jaxurban.maps.shared import paired_times, shared_part
 from jaxurban.metrics.base import ALTITUDE
@@ -28,15 +27,12 @@ from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.compared_routes import compared_routes
 from jaxurban.studies.decided import Conclusion, Verdict, border_verdict, concluded, effects, sized
 
-# The layer of cells that no planner enters, beside ``obstacle``, the metrics' rule.
-CLOSED = "closed"
-MASKS = ("obstacle", CLOSED)
 CELLS = ("y", "x")
 SAME = 1e-6  # values that differ by no more, as on another device, are equal
-PLACE = ["altitude_m", "time", "time_of_day"]
-STATISTICS = ["mean", "median", "p05", "p95", "rms"]
-COUNTS = ["higher", "lower", "lost", "gained"]
-COLUMNS = ["layer", "unit", *PLACE, "cells", *STATISTICS, *COUNTS, "share_changed"]
+COLUMNS = (
+    *("layer", "unit", "altitude_m", "time", "time_of_day"),
+    *("cells", "mean", "rms", "higher", "lower", "lost", "gained"),
+)
 USUAL_ROUTES = 40  # at each altitude, from which routes are judged
 
 
@@ -45,18 +41,15 @@ class MapVerdict(Enum):
 
     CELLS = (
         "{cause} changes {means} on average; of {n} at all altitudes and times {lost:,} lose their fix and {gained:,} "
-        "gain one (no mean of a DOP counts these), {closed:,} close to planners and {opened:,} open"
+        "gain one (means of DOPs leave these out), {closed:,.0f} become obstacles and {opened:,.0f} become free"
     )
     ROUTES = (
-        "{cause} changes {count:,} of {n} ({where}), {size}, by at most {apart_m:,.0f} m; {closed:,} of A's routes are "
-        "closed on B, and {lost:,} of their pairs have no path there"
+        "{count:,} of A's {n}, {size}, are not the cheapest on B ({where}), whose own are up to {apart_m:,.0f} m away; "
+        "B closes {closed:,} of A's, and {lost:,} have no way on B"
     )
     KEPT = "A route of A that B leaves open costs {size} more on B than B's own ({n})"
     NO_ROUTES = "Whether routes change: none were planned"
-    GUESSES = (
-        "A rests on other guesses than B (A alone: {of_a}; B alone: {of_b}), and how much of the difference is theirs "
-        "is not known"
-    )
+    GUESSES = "How much of it comes of what only one of them guesses (A: {of_a}; B: {of_b})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,27 +58,24 @@ class MapComparison(Result):
 
     Attributes:
       names: folders of A and B; empty for maps in memory.
-      a, b: the maps, cut to what both hold, with a layer ``closed``, 1 in cells that no planner enters; both with the
-        settings of A's scenario for routes.
-      left_out: names of the layers, altitudes and times of day that one of them lacks.
-      settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
+      a, b: the maps, cut to what both hold; both with the settings of A's scenario for routes.
+      left_out: names of the layers that one of them lacks.
+      settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; empty where one
         of them was not made by `jaxurban maps`.
       table: a row per layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
-        hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A in the layer's ``unit``,
-        ``higher`` and ``lower``, the cells that are higher, and lower, in B, ``lost`` and ``gained``, those of them
-        whose value is infinite, as a DOP is without a fix, in B alone, and in A alone (no other statistic counts
-        these), and ``share_changed``, the share of both. Of ``obstacle`` and of ``closed`` the values are 1 where a
-        cell is blocked and 0 elsewhere, and the cells all with data in both.
+        hold a number in both, ``mean`` and ``rms`` (root of the mean square) of B - A in the layer's ``unit``,
+        ``higher`` and ``lower``, the cells that are higher, and lower, in B, and ``lost`` and ``gained``, those of them whose
+        value is infinite, as a DOP is without a fix, in B alone, and in A alone, which neither mean nor rms counts. Of
+        ``obstacle`` and of layers without altitudes the cells are all with data in both.
       routes: a row for each route of A on B (`compared_routes`); empty where none were asked for.
-      seed: of their ends.
 
     Examples:
       >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
       >>> change = ju.studies.compare(maps, higher_mask, progress=False)
-      >>> change.layers[:6], change.a.grid.shape
-      (('obstacle', 'closed', 'gps', 'lidar', 'population', 'risk'), (30, 30))
-      >>> change.left_out
-      ('altitude 20 m',)
+      >>> change.layers[:3], change.a.grid.shape
+      (('density', 'gdop', 'gps'), (30, 30))
+      >>> change.a.altitudes_m, change.left_out
+      ((60.0,), ())
     """
 
     _command = "compare"
@@ -95,22 +85,14 @@ class MapComparison(Result):
     a: MetricMaps
     b: MetricMaps
     left_out: tuple[str, ...]
-    settings: Differing | None = None
+    settings: Differing = field(default_factory=dict)
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
     routes: pd.DataFrame = field(default_factory=pd.DataFrame)
-    seed: int = 0
-
-    @property
-    def times(self) -> dict[str, str]:
-        """A's time and the one of B beside it; empty where no layer varies with the time."""
-        return paired_times(self.a, self.b)
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """The layers that both hold: blocked cells, the cost's metrics, then the others by name."""
-        first = (*MASKS, *map(self.a.variable, self.a.metrics))
-        others = {*map(str, self.a.ds.data_vars)} - {"has_data", *first}
-        return (*first, *sorted(others))
+        """The layers that both hold."""
+        return tuple(map(str, self.a.ds.drop_vars("has_data").data_vars))
 
     @typed
     def difference(self, layer: str) -> xr.DataArray:
@@ -121,9 +103,9 @@ class MapComparison(Result):
 
         Returns:
           The differences by time, altitude and time of day, as far as the layer has them, and ``[y, x]``, float32 in
-          its unit; times are A's. NaN where either is blocked or holds no number. Of ``obstacle`` and ``closed`` 1
-          where only B is blocked, -1 where only A is, NaN without data. Sizes up to `SAME` are 0. Infinite values
-          (dilutions of precision) differ by 0 where both are infinite, else by an infinite number.
+          its unit; times are A's. NaN where either is blocked or holds no number. Of ``obstacle`` 1 where only B is
+          blocked, -1 where only A is, NaN without data. Sizes up to `SAME` are 0. Infinite values (dilutions of
+          precision) differ by 0 where both are infinite, else by an infinite number.
 
         Raises:
           InputError: no such layer in both.
@@ -141,96 +123,90 @@ class MapComparison(Result):
             change = b - a
         change = change.where((a != b) & ~(abs(change) <= SAME), np.float32(0))
 
-        # Masks and layers without altitudes have a number wherever there are data, others where cells are free too.
+        # Obstacles and layers without altitudes have a number wherever there are data, others where cells are free too.
         is_known = self.a.ds["has_data"] & self.b.ds["has_data"]
-        if ALTITUDE in a.dims and layer not in MASKS:
+        if ALTITUDE in a.dims and layer != "obstacle":
             is_known = is_known & (self.a.ds["obstacle"] == 0) & (self.b.ds["obstacle"] == 0)
         return change.where(is_known).transpose(..., *CELLS)
 
-    @property
+    @cached_property
     def decided(self) -> Conclusion:
         """What B's maps change in the cost's metrics, in the cells open to planners, and for routes."""
-        cause = "B"
-        if self.settings is not None and len(self.settings) == 1:
-            ((key, (of_a, of_b)),) = self.settings.items()
-            cause = f"{key} {of_b} instead of {of_a}"
-        verdicts = [self._of_cells(cause), *self._of_routes(cause), *self._of_guesses()]
+        verdicts = [self._of_cells(), *self._of_routes(), *self._of_guesses()]
 
         # Commands that can be pasted as they are; of maps in memory they are Python's.
         more = "ju.studies.compare(A, B, routes={needed})"
         view = "ju.view(A, against=B)"
         if all(self.names):
             a, b = map(shlex.quote, self.names)
-            side = f"--resolution {self.a.grid.resolution_m:g}"
-            folder = shlex.quote(f"{self.names[1]}_routes")
-            more = f"jaxurban compare {a} {b} {side} --routes {{needed}} -o {folder}_{{needed}}"
-            view = f"jaxurban view {a} --against {b} {side}"
-        usual = more.format(needed=USUAL_ROUTES)
-        done = usual if self.routes.empty else view
+            which = f"--resolution {self.a.grid.resolution_m:g}"
+            more = f"jaxurban compare {a} {b} {which} --routes {{needed}} -o {b}_routes_{{needed}}"
+            view = f"jaxurban view {a} --against {b} {which}"
+        done = more.format(needed=USUAL_ROUTES) if self.routes.empty else view
         return concluded(verdicts, more=more, done=done, wider=done)
 
-    def _of_cells(self, cause: str) -> Verdict:
+    def _of_cells(self) -> Verdict:
         """Return by how much each metric differs on average, and how many cells change for planners."""
-        rows = self.table[self.table.cells > 0]
+        cause = "B"
+        if len(self.settings) == 1:
+            ((key, (of_a, of_b)),) = self.settings.items()
+            cause = f"{key} {of_b} instead of {of_a}"
+
         means = []
         for name in self.a.metrics:
-            of_metric = rows[rows.layer == self.a.variable(name)]
-            if of_metric.share_changed.max() > 0:
-                mean = np.average(of_metric["mean"], weights=of_metric.cells)
+            mean = float(self.difference(self.a.variable(name)).astype(np.float64).mean())
+            if mean:
                 means.append(f"m_{name} by {sized(mean, np.nan, np.nan)}")
 
-        # All dilutions of precision lack a number in the same cells.
-        counts = rows.groupby("layer")[["cells", *COUNTS]].sum()
-        closed = counts.loc[CLOSED]
+        # Numbers of cells over all maps of a layer. All DOPs lack a number in the same ones.
+        sums = self.table.groupby("layer").sum(numeric_only=True)
+        obstacles = sums.loc["obstacle"]
         facts = {
             "cause": cause,
             "means": " and ".join(means) or "no metric",
-            "lost": counts.lost.max(),
-            "gained": counts.gained.max(),
-            "closed": closed.higher,
-            "opened": closed.lower,
+            "lost": sums.lost.max(),
+            "gained": sums.gained.max(),
+            "closed": obstacles.higher,
+            "opened": obstacles.lower,
         }
-        return Verdict(MapVerdict.CELLS, n=int(closed.cells), noun="cells", facts=facts)
+        return Verdict(MapVerdict.CELLS, n=int(obstacles.cells), noun="cells", facts=facts)
 
-    def _of_routes(self, cause: str) -> Iterator[Verdict]:
+    def _of_routes(self) -> Iterator[Verdict]:
         """Yield how many of A's routes change on B, what it costs to keep them, and how many the border may decide."""
         if self.routes.empty:
             yield Verdict(MapVerdict.NO_ROUTES, needed=np.nan)
             return
-        routes = self.routes[self.routes.is_changed.notna()]
-        clusters = Clusters(routes.pair)
+        routes = self.routes.dropna(subset="is_changed")
         by_altitude = routes.groupby("altitude_m").is_changed.agg(["sum", "count"]).itertuples()
         facts = {
-            "cause": cause,
             "count": int(routes.is_changed.sum()),
             "where": ", ".join(f"{num:.0f} of {of} at {z_m:g} m" for z_m, num, of in by_altitude),
-            "apart_m": (routes.apart_m * routes.is_changed).max(),
+            "apart_m": (routes.apart_m * routes.is_changed).fillna(0).max(),
             "closed": int(routes.is_closed.sum()),
             "lost": int(routes.best_there.isna().sum()),
         }
+        clusters = Clusters(routes.pair)
         share = 100 * np.array(clusters.interval(routes.is_changed, "share"))
         yield Verdict(MapVerdict.ROUTES, (), *share, len(routes), "%", facts=facts)
-        kept = effects(100 * routes[["regret"]], clusters).iloc[0]
-        if facts["count"] and kept.n:
-            size = kept["size"], kept.low, kept.high
-            yield Verdict(MapVerdict.KEPT, (), *size, int(kept.n), "%", "pairs", kept.needed)
+        size, low, high, num, needed = effects(100 * routes[["regret"]], clusters).to_numpy()[0]
+        if facts["count"] and num:
+            yield Verdict(MapVerdict.KEPT, (), size, low, high, int(num), "%", "pairs", needed)
         yield from border_verdict(routes.at_edge.to_numpy() > 0)
 
     def _of_guesses(self) -> Iterator[Verdict]:
         """Yield that the sets rest on other guesses, such as how far their rays stay within the data."""
         of_a, of_b = self.a.guesses, self.b.guesses
-        facts = {
-            "of_a": names_of(each for each in of_a if each not in of_b) or "none",
-            "of_b": names_of(each for each in of_b if each not in of_a) or "none",
-        }
         if of_a != of_b:
+            facts = {
+                "of_a": names_of(each for each in of_a if each not in of_b),
+                "of_b": names_of(each for each in of_b if each not in of_a),
+            }
             yield Verdict(MapVerdict.GUESSES, needed=np.nan, facts=facts)
 
     @property
     def facts(self) -> dict[str, str]:
-        """What it decided, what is compared, and what was left out."""
-        a, b = self.names
-        return {**self.decided.facts, "A": a, "B": b, "left out": ", ".join(self.left_out)}
+        """What it decided, and what is compared."""
+        return self.decided.facts | dict(zip("AB", self.names, strict=True))
 
 
 @typed
@@ -281,64 +257,35 @@ def compare(
     b = _opened(maps_b)
     part_a, part_b = shared_part(a, b.with_obstacles(b.rule or a.obstacles))
     part_b = part_b.with_recorded(a.recorded)
-
-    settings = None
-    of_a, of_b = map(_settings_of, (a, b))
-    if of_a is not None and of_b is not None:
-        settings = differing(of_a, of_b)
+    settings: Differing = {}
+    if a.folder and b.folder:
+        with suppress(OSError, ValueError, LookupError):  # maps that `jaxurban maps` did not make
+            records = (read_json(folder / RUN_FILE)["settings"] for folder in (a.folder, b.folder))
+            settings = differing(*records)
     result = MapComparison(
         names=(str(a.folder or ""), str(b.folder or "")),
-        a=_with_closed(part_a),
-        b=_with_closed(part_b),
-        left_out=(*_left_out(a, part_a), *_left_out(b, part_b)),
+        a=part_a,
+        b=part_b,
+        left_out=tuple(sorted({*a.ds.data_vars, *b.ds.data_vars} - {*part_a.ds.data_vars})),
         settings=settings,
-        seed=seed,
     )
 
     with reporting("compare", progress) as report:
         layers = report.over("layers", result.layers)
         rows = [_statistics(layer, result.difference(layer)) for layer in layers]
-        table = pd.concat(rows).rename(columns={ALTITUDE: "altitude_m"}).reindex(columns=COLUMNS)
+        table = pd.concat(rows, ignore_index=True)
+        table = table.rename(columns={ALTITUDE: "altitude_m"}).reindex(columns=COLUMNS)
         table["time"] = table["time"].map(iso_utc, na_action="ignore")
-        table["share_changed"] = (table.higher + table.lower) / table.cells
         judged = result.routes
         if routes:
-            times = next(iter(result.times.items()), (None, None))
+            times = next(iter(paired_times(part_a, part_b).items()), (None, None))
             judged = compared_routes(part_a, part_b, routes, seed, times, report)
-    return replace(result, table=table.reset_index(drop=True), routes=judged)
+    return replace(result, table=table, routes=judged)
 
 
 def _opened(maps: MapsLike | MapsFolder) -> MetricMaps:
     """Return maps, read from their folder if they are one."""
-    if isinstance(maps, MetricMaps):
-        return maps
-    return (maps if isinstance(maps, MapsFolder) else MapsFolder(maps)).open()
-
-
-def _settings_of(maps: MetricMaps) -> dict[str, Any] | None:
-    """Return the settings that made maps; None where they cannot be read, as for maps in memory."""
-    with suppress(OSError, ValueError, LookupError):
-        return read_json(maps.folder / RUN_FILE)["settings"] if maps.folder else None
-    return None
-
-
-def _with_closed(maps: MetricMaps) -> MetricMaps:
-    """Return maps with the layer `CLOSED`."""
-    is_free = np.stack([maps.is_free(altitude_m) for altitude_m in maps.altitudes_m])
-    layer = xr.Variable((ALTITUDE, *CELLS), ~is_free, {"long_name": "cells that no planner enters"})
-    return replace(maps, ds=maps.ds.assign({CLOSED: layer}))
-
-
-def _left_out(maps: MetricMaps, part: MetricMaps) -> Iterator[str]:
-    """Yield the layers, altitudes and times of day of maps that their shared part lacks, and how many of its cells."""
-    for name in maps.ds.data_vars:
-        if name not in part.ds and "y" in maps.ds[name].dims:  # layers, not scalars
-            yield str(name)
-    yield from (f"altitude {z_m:g} m" for z_m in maps.altitudes_m if z_m not in part.altitudes_m)
-    yield from (f"time of day {day}" for day in maps.times_of_day if day not in part.times_of_day)
-    num_cells = maps.ds["has_data"].size - part.ds["has_data"].size
-    if num_cells:
-        yield f"{num_cells:,} cells"
+    return maps.open() if isinstance(maps, MapsFolder) else as_maps(maps)
 
 
 def _statistics(layer: str, change: xr.DataArray) -> pd.DataFrame:
@@ -351,19 +298,14 @@ def _statistics(layer: str, change: xr.DataArray) -> pd.DataFrame:
       change: ``[..., y, x]``, NaN where it is not known.
     """
     finite = change.where(np.isfinite(change)).astype(np.float64)
-    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # without a number
-        columns = {
-            "cells": change.count(CELLS),
-            "mean": finite.mean(CELLS),
-            "median": finite.median(CELLS),
-            "p05": finite.quantile(0.05, CELLS).drop_vars("quantile"),
-            "p95": finite.quantile(0.95, CELLS).drop_vars("quantile"),
-            "rms": np.sqrt((finite**2).mean(CELLS)),
-            "higher": (change > 0).sum(CELLS),
-            "lower": (change < 0).sum(CELLS),
-            "lost": (change == np.inf).sum(CELLS),
-            "gained": (change == -np.inf).sum(CELLS),
-        }
-    unit = change.attrs.get("units", "1")
-    maps = xr.Dataset(columns).expand_dims(layer=[layer], unit=[unit])
-    return maps.to_dataframe().reset_index()
+    columns = {
+        "cells": change.count(CELLS),
+        "mean": finite.mean(CELLS),
+        "rms": np.sqrt((finite**2).mean(CELLS)),
+        "higher": (change > 0).sum(CELLS),
+        "lower": (change < 0).sum(CELLS),
+        "lost": (change == np.inf).sum(CELLS),
+        "gained": (change == -np.inf).sum(CELLS),
+    }
+    key = {"layer": [layer], "unit": [change.attrs.get("units", "1")]}
+    return xr.Dataset(columns).expand_dims(key).to_dataframe().reset_index()
