@@ -108,7 +108,7 @@ def validate_command(
     settings: ReceiverSettings,
     overwrite: bool,
     as_json: bool,
-    **files: Path | None,
+    **files: Any,
 ) -> None:
     """Say which satellites of a receiver's log a city hides.
 

@@ -19,6 +19,7 @@ from jaxurban.report.figures.frame import (
 )
 from jaxurban.report.figures.style import difference_colours
 from jaxurban.report.write import (
+    Figures,
     Markdown,
     Written,
     bullets,
@@ -28,8 +29,6 @@ from jaxurban.report.write import (
     study_outputs,
 )
 from jaxurban.studies.map_comparison import MapComparison
-
-NAMES = {"pair": "routes", "is_changed": "changed", "is_closed": "closed", "regret": "regret (%)"}
 
 
 def plot_difference(result: MapComparison, layer: str) -> Figure:
@@ -88,14 +87,14 @@ def comparison_outputs(result: MapComparison) -> Written:
     tables = {"layers": table}
     if len(routes):
         tables["routes"] = routes
-    changed = table[table.higher + table.lower > 0].layer.unique()
-    figures = {layer: partial(plot_difference, result, layer) for layer in changed}
+    changed = table[table.higher + table.lower > 0].layer.unique().tolist()
+    figures: Figures = {layer: partial(plot_difference, result, layer) for layer in changed}
     key = {
         "maps": list(result.names),
         "routes": len(routes) // len(result.a.altitudes_m),
         "values": crc32((table.to_csv() + routes.to_csv()).encode()),
     }
-    return study_outputs(comparison_markdown(result, list(changed)), tables, figures), key
+    return study_outputs(comparison_markdown(result, changed), tables, figures), key
 
 
 def comparison_markdown(result: MapComparison, changed: list[str]) -> str:
@@ -106,10 +105,13 @@ def comparison_markdown(result: MapComparison, changed: list[str]) -> str:
     values = values.drop(columns="time")
     routes = result.routes
     if len(routes):
-        counts = {"pair": "count", "is_changed": "sum", "is_closed": "sum"}
-        columns = counts | {"length_m": "mean", "regret": "mean", "apart_m": "max"}
-        routes = routes.groupby("altitude_m", as_index=False).agg(columns)
-        routes = routes.assign(regret=100 * routes.regret).rename(columns=NAMES)
+        routes = routes.groupby("altitude_m", as_index=False).agg(
+            routes=("pair", "count"),
+            changed=("is_changed", "sum"),
+            closed=("is_closed", "sum"),
+            length_m=("length_m", "mean"),
+            apart_m=("apart_m", "max"),
+        )
     settings = (f"{key}: {a} in A, {b} in B" for key, (a, b) in result.settings.items())
     pictures = (f"![{layer}, B - A](figures/{layer}.png)" for layer in map(plain, changed))
     return fill(

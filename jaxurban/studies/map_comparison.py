@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -64,9 +65,9 @@ class MapComparison(Result):
         of them was not made by `jaxurban maps`.
       table: a row per layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
         hold a number in both, ``mean`` and ``rms`` (root of the mean square) of B - A in the layer's ``unit``,
-        ``higher`` and ``lower``, the cells that are higher, and lower, in B, and ``lost`` and ``gained``, those of them whose
-        value is infinite, as a DOP is without a fix, in B alone, and in A alone, which neither mean nor rms counts. Of
-        ``obstacle`` and of layers without altitudes the cells are all with data in both.
+        ``higher`` and ``lower``, the cells that are higher, and lower, in B, and ``lost`` and ``gained``, those of them
+        whose value is infinite, as a DOP is without a fix, in B alone, and in A alone, which neither mean nor rms
+        counts. Of ``obstacle`` and of layers without altitudes the cells are all with data in both.
       routes: a row for each route of A on B (`compared_routes`); empty where none were asked for.
 
     Examples:
@@ -159,7 +160,7 @@ class MapComparison(Result):
                 means.append(f"m_{name} by {sized(mean, np.nan, np.nan)}")
 
         # Numbers of cells over all maps of a layer. All DOPs lack a number in the same ones.
-        sums = self.table.groupby("layer").sum(numeric_only=True)
+        sums: Any = self.table.groupby("layer").sum(numeric_only=True)
         obstacles = sums.loc["obstacle"]
         facts = {
             "cause": cause,
@@ -186,8 +187,8 @@ class MapComparison(Result):
             "lost": int(routes.best_there.isna().sum()),
         }
         clusters = Clusters(routes.pair)
-        share = 100 * np.array(clusters.interval(routes.is_changed, "share"))
-        yield Verdict(MapVerdict.ROUTES, (), *share, len(routes), "%", facts=facts)
+        share, low, high = (100 * each for each in clusters.interval(routes.is_changed, "share"))
+        yield Verdict(MapVerdict.ROUTES, (), share, low, high, len(routes), "%", facts=facts)
         size, low, high, num, needed = effects(100 * routes[["regret"]], clusters).to_numpy()[0]
         if facts["count"] and num:
             yield Verdict(MapVerdict.KEPT, (), size, low, high, int(num), "%", "pairs", needed)
