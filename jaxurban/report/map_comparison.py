@@ -57,8 +57,8 @@ def plot_difference(result: MapComparison, layer: str) -> Figure:
     has_data = result.a.ds["has_data"].values & result.b.ds["has_data"].values
     panels = []
     maps = change.values.reshape(-1, *has_data.shape)
-    for values, row in zip(maps, rows.fillna("").to_dict("records"), strict=False):
-        altitude = f"{row['altitude_m']} m" if row["altitude_m"] else ""
+    for values, row in zip(maps, rows.astype(object).fillna("").to_dict("records"), strict=False):
+        altitude = "" if row["altitude_m"] == "" else f"{row['altitude_m']:g} m"
         num = row["higher"] + row["lower"]
         text = f"mean {row['mean']:+.3g}, {num:,} of {row['cells']:,} cells changed"
         shown = DrawnMap(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours)

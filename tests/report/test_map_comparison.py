@@ -8,8 +8,8 @@ from matplotlib.text import Text
 import jaxurban as ju
 from jaxurban.report.figures.style import difference_colours
 from jaxurban.report.map_comparison import (
-    comparison_figures,
     comparison_markdown,
+    comparison_outputs,
     plot_difference,
 )
 from tests.cli_runs import run
@@ -26,6 +26,10 @@ def found():
     return ju.studies.compare(a, changed_from(a), progress=False)
 
 
+def figures_of(result) -> list[str]:
+    return [name for name in comparison_outputs(result)[0] if name.startswith("figures/")]
+
+
 @pytest.fixture(scope="module")
 def saved(found, tmp_path_factory):
     folder = tmp_path_factory.mktemp("compared") / "ab"
@@ -36,17 +40,17 @@ def saved(found, tmp_path_factory):
 @pytest.mark.slow
 def test_the_folder_holds_report_tables_maps_and_figures(found, saved):
     report = (saved / "report.md").read_text(encoding="utf-8")
-    for name in comparison_figures(found):
-        assert f"figures/{name}.png" in report
-        assert (saved / f"figures/{name}.png").stat().st_size > 5000
+    for name in figures_of(found):
+        assert name in report
+        assert (saved / name).stat().st_size > 5000
     table = pd.read_csv(saved / "tables/layers.csv")
     assert len(table) == len(pd.read_parquet(saved / "tables/layers.parquet")) == len(found.table)
     for row in found.table.query("layer == 'obstacle'").itertuples():
-        assert f"| {row.higher} | {row.lower} |" in report
+        assert f"| {row.higher} | {row.lower} | 0 | 0 |" in report
     first, second, third = report.split("\n\n")[1].splitlines()
     assert first.startswith("- **Decided**: B ")
     assert second.startswith("- **Not decided**: Whether routes change")
-    assert third == "- **Next**: `jaxurban compare A B --routes 40 -o OUT`"
+    assert third == "- **Next**: `ju.studies.compare(A, B, routes=40)`"
     assert "e-0" not in report
     with pytest.raises(ju.InputError, match="holds another run") as refused:
         ju.studies.compare(found.b, found.a, progress=False).save(saved)
@@ -84,8 +88,8 @@ def test_the_command_compares_folders_and_names_the_settings_that_differ(
     code, _, err = run(capsys, "compare", "a", "b", "-o", "ab")
     assert code == 0, err
     report = (tmp_path / "ab/report.md").read_text(encoding="utf-8")
-    assert "| `lidar.range_m` | `100.0` | `60.0` |" in report
-    assert "The same in both: obstacle, closed, gps, population" in report
+    assert "- lidar.range_m: 100.0 in A, 60.0 in B" in report
+    assert "lidar.range_m 60.0 instead of 100.0 changes m_lidar by -" in report
     table = pd.read_csv(tmp_path / "ab/tables/layers.csv").set_index("layer")
     assert table.rms["lidar"] > 0
     assert table.rms.drop("lidar").max() == 0
@@ -93,7 +97,7 @@ def test_the_command_compares_folders_and_names_the_settings_that_differ(
 
 def test_a_report_of_the_same_maps_says_why_it_shows_no_picture(found):
     same = ju.studies.compare(found.a, found.a, progress=False)
-    assert "## Figures\n\nNone: a layer is drawn where it differs." in comparison_markdown(same, [])
+    assert "## Figures\n\nNone: no layer differs." in comparison_markdown(same, [])
 
 
 def said_in(figure) -> str:
@@ -101,7 +105,7 @@ def said_in(figure) -> str:
 
 
 def test_the_legend_names_what_is_blocked(found):
-    for layer in ("closed", "gps"):
+    for layer in ("obstacle", "gps"):
         assert "blocked in A or B" in said_in(plot_difference(found, layer)).splitlines()
 
 
@@ -114,4 +118,4 @@ def test_a_figure_names_the_time_of_both(found):
     both = ju.studies.compare(a, b, progress=False)
     shown = said_in(plot_difference(both, "gps"))
     assert all(f"2020-04-27 {hour}:00 UTC" in shown for hour in (19, 20))
-    assert "gps" in comparison_figures(both)
+    assert "figures/gps.png" in figures_of(both)

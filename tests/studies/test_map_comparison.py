@@ -1,5 +1,7 @@
 """Two sets of maps side by side: differences against brute force over the arrays themselves."""
 
+import json
+import shlex
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +9,9 @@ import pytest
 import xarray as xr
 
 import jaxurban as ju
+from jaxurban.knowledge import GuessKind, guessed
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.shared import paired_times
 from tests.made_maps import made_maps
 
 
@@ -61,11 +65,8 @@ def test_statistics_are_numpys_over_all_cells(found):
         change = at(found, row.layer, altitude_m).astype(float)
         values = change[np.isfinite(change)]
         assert row.cells == len(values) > 0
-        want = [values.mean(), *np.percentile(values, [50, 5, 95]), np.sqrt((values**2).mean())]
-        np.testing.assert_allclose(
-            [row.mean, row.median, row.p05, row.p95, row.rms], want, atol=1e-12
-        )
-        assert row.share_changed == (abs(values) > 1e-6).mean()
+        want = [values.mean(), np.sqrt((values**2).mean())]
+        np.testing.assert_allclose([row.mean, row.rms], want, atol=1e-12)
         assert (row.higher, row.lower) == ((values > 1e-6).sum(), (values < -1e-6).sum())
 
 
@@ -75,38 +76,43 @@ def test_obstacles_of_one_map_alone_are_counted(maps, found):
     for z, altitude_m in enumerate(maps[0].altitudes_m):
         assert rows.higher[altitude_m] == ((b[z] == 1) & (a[z] == 0)).sum() > 200
         assert rows.lower[altitude_m] == ((b[z] == 0) & (a[z] == 1)).sum()
-        changed = rows.higher[altitude_m] + rows.lower[altitude_m]
-        assert rows.share_changed[altitude_m] == changed / rows.cells[altitude_m]
     assert rows.lower.sum() > 0
 
 
 def test_no_map_differs_from_itself(maps):
     same = ju.studies.compare(maps[0], maps[0], progress=False)
-    assert same.table.share_changed.max() == same.table.rms.max() == 0
+    assert same.table.higher.max() == same.table.lower.max() == same.table.rms.max() == 0
+    assert same.decided.facts["decided"].startswith(
+        "B changes no metric on average; of 16,000 cells"
+    )
 
 
-def test_infinite_dilutions_are_alike_or_changed_but_never_a_mean(maps):
-    a, ds = maps[0], maps[0].ds.copy(deep=True)
-    free = np.argwhere((ds["obstacle"].values[0] == 0) & np.isfinite(ds["hdop"].values[0, 0]))[0]
-    ds["hdop"].values[0, 0, *free] = np.inf
-    found = ju.studies.compare(a, MetricMaps(ds), progress=False)
+def test_cells_that_lose_or_gain_their_fix_are_counted_and_in_no_mean(maps):
+    a, b = (maps[0].ds.copy(deep=True) for _ in range(2))
+    free = np.argwhere((a["obstacle"].values[0] == 0) & np.isfinite(a["hdop"].values[0, 0]))
+    for row, col in free[:5]:
+        b["hdop"].values[0, 0, row, col] = np.inf
+    for row, col in free[5:8]:
+        a["hdop"].values[0, 0, row, col] = np.inf
+    found = ju.studies.compare(MetricMaps(a), MetricMaps(b), progress=False)
     row = found.table[found.table.layer == "hdop"].iloc[0]
-    assert np.isinf(at(found, "hdop", 20.0)).sum() == 1
+    assert np.isinf(at(found, "hdop", 20.0)).sum() == 8
     assert row["mean"] == row.rms == 0
-    assert row.share_changed == pytest.approx(1 / row.cells)
+    assert (row.lost, row.gained, row.higher, row.lower) == (5, 3, 5, 3)
+    assert " 5 lose their fix and 3 gain one (means of DOPs" in found.decided.facts["decided"]
 
 
 def test_only_the_cells_that_both_hold_are_compared_wherever_they_lie(maps, found):
     a, b = maps
     west, north = MetricMaps(a.ds.isel(x=slice(10, 90))), MetricMaps(b.ds.isel(y=slice(30, None)))
     parts = ju.studies.compare(west, north, progress=False)
-    assert parts.grid.shape == (50, 80)
-    assert (parts.grid.first_row, parts.grid.first_col) == (450_030, 58_010)
+    assert parts.a.grid.shape == (50, 80)
+    assert (parts.a.grid.first_row, parts.a.grid.first_col) == (450_030, 58_010)
     np.testing.assert_array_equal(at(parts, "risk", 20.0), at(found, "risk", 20.0)[30:, 10:90])
-    assert parts.left_out == ("2,400 cells", "1,000 cells")
+    assert parts.left_out == ()
 
 
-def test_altitudes_times_of_day_and_layers_of_one_alone_are_left_out_by_name(maps):
+def test_altitudes_times_of_day_and_layers_of_one_alone_are_left_out(maps):
     a, b = maps
     ds = (
         b.ds.isel(altitude=[1], time_of_day=[1])
@@ -116,7 +122,7 @@ def test_altitudes_times_of_day_and_layers_of_one_alone_are_left_out_by_name(map
     found = ju.studies.compare(a, MetricMaps(ds), progress=False)
     assert found.a.altitudes_m == found.b.altitudes_m == (60.0,)
     assert found.a.times_of_day == ("night",)
-    assert set(found.left_out) == {"altitude 20 m", "lidar", "time of day day"}
+    assert found.left_out == ("lidar",)
     want = b.m("population", time_of_day="night") - a.m("population", time_of_day="night")
     np.testing.assert_array_equal(at(found, "population"), want)
 
@@ -132,12 +138,12 @@ def test_single_times_are_set_beside_each_other_and_of_several_those_that_both_h
     a, b = maps
     first, later = "2020-04-27T16:00:00Z", "2020-04-28T06:00:00Z"
     single = ju.studies.compare(a, at_time(b, later[:-1]), progress=False)
-    assert dict(single.times) == {first: later}
+    assert paired_times(single.a, single.b) == {first: later}
     both = at_time(b, later[:-1], "2020-04-29T06:00:00")
     with pytest.raises(ju.InputError, match="share no time"):
         ju.studies.compare(a, both, progress=False)
     several = ju.studies.compare(a, at_time(b, first[:-1], later[:-1]), progress=False)
-    assert dict(several.times) == {first: first}
+    assert paired_times(several.a, several.b) == {first: first}
     np.testing.assert_array_equal(at(several, "gps", 60.0), at(found, "gps", 60.0))
 
 
@@ -150,14 +156,41 @@ def test_the_comparison_shows_itself(found):
 
 def test_the_verdict_names_the_one_setting_that_differs_and_the_mean_over_all_cells(found):
     one = replace(found, settings={"gps.mask_deg": (5.0, 15.0)})
-    verdicts = reversed(one.decided.verdicts)
-    decided = {verdict.kind.name: verdict for verdict in verdicts}
-    rows = found.table[found.table.layer == "gps"]
-    mean = np.average(rows["mean"], weights=rows.cells)
-    assert decided["HIGHER"].what == ("gps",)
-    assert mean > 0
-    assert decided["HIGHER"].size == pytest.approx(mean)
-    assert decided["HIGHER"].n == rows.cells.sum()
-    assert decided["HIGHER"].sentence.startswith("gps.mask_deg 15.0 instead of 5.0 raises m_gps by")
-    assert decided["NO_ROUTES"].is_decided is False
-    assert one.decided.facts["next"] == "jaxurban compare A B --routes 40 -o OUT"
+    first, *others = one.decided.verdicts
+    means = {name: float(found.difference(name).astype(float).mean()) for name in ("gps", "risk")}
+    assert min(means.values()) > 0
+    said = " and ".join(f"m_{name} by {mean:.3g}" for name, mean in means.items())
+    assert first.sentence.startswith(f"gps.mask_deg 15.0 instead of 5.0 changes {said} on average;")
+    rows = found.table[found.table.layer == "obstacle"]
+    assert first.n == rows.cells.sum()
+    assert (first.facts["closed"], first.facts["opened"]) == (rows.higher.sum(), rows.lower.sum())
+    assert [verdict.kind.name for verdict in others] == ["NO_ROUTES"]
+
+
+def test_the_next_command_can_be_pasted(maps, found, tmp_path):
+    assert found.decided.facts["next"] == "ju.studies.compare(A, B, routes=40)"
+    folders = [each.save(tmp_path / name) for each, name in zip(maps, ("a b", "c"), strict=True)]
+    folders = [str(folder) for folder in folders]
+    named = ju.studies.compare(*folders, progress=False)
+    assert shlex.split(named.decided.facts["next"]) == [
+        *("jaxurban", "compare", *folders, "--resolution", "10"),
+        *("--routes", "40", "-o", f"{folders[1]}_routes_40"),
+    ]
+    few = ju.studies.compare(*folders, routes=4, progress=False)
+    assert "--routes 8 -o" in few.decided.facts["next"]  # the fewest that have an interval
+    same = ju.studies.compare(folders[0], folders[0], routes=4, progress=False)
+    assert shlex.split(same.decided.facts["next"]) == [
+        *("jaxurban", "view", folders[0], "--against", folders[0], "--resolution", "10")
+    ]
+
+
+def test_what_only_one_of_the_maps_guesses_is_said(maps):
+    def with_share(share: float) -> MetricMaps:
+        guess = guessed(GuessKind.BEYOND_DATA, share, altitude_m=20.0)[0].to_dict()
+        return MetricMaps(maps[0].ds.assign_attrs(guesses=json.dumps([guess])))
+
+    said = ju.studies.compare(with_share(0.17), with_share(0.04), progress=False).decided.facts
+    assert "(A: 17 % of lines of sight" in said["not decided"]
+    assert "; B: 4 % of lines of sight" in said["not decided"]
+    alike = ju.studies.compare(with_share(0.17), with_share(0.17), progress=False).decided
+    assert [verdict.kind.name for verdict in alike.verdicts] == ["CELLS", "NO_ROUTES"]
