@@ -42,7 +42,7 @@ class MapVerdict(Enum):
 
     CELLS = (
         "{cause} changes {means} on average; of {n} at all altitudes and times {lost:,} lose their fix and {gained:,} "
-        "gain one (means of DOPs leave these out), {closed:,.0f} become obstacles and {opened:,.0f} become free"
+        "gain one (means of DOPs leave these out), {closed:,} become obstacles and {opened:,} free"
     )
     ROUTES = (
         "{count:,} of A's {n}, {size}, are not the cheapest on B ({where}), whose own are up to {apart_m:,.0f} m away; "
@@ -165,10 +165,10 @@ class MapComparison(Result):
         facts = {
             "cause": cause,
             "means": " and ".join(means) or "no metric",
-            "lost": sums.lost.max(),
-            "gained": sums.gained.max(),
-            "closed": obstacles.higher,
-            "opened": obstacles.lower,
+            "lost": int(sums.lost.max()),
+            "gained": int(sums.gained.max()),
+            "closed": int(obstacles.higher),
+            "opened": int(obstacles.lower),
         }
         return Verdict(MapVerdict.CELLS, n=int(obstacles.cells), noun="cells", facts=facts)
 
