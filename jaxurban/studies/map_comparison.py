@@ -74,7 +74,7 @@ class MapComparison(Result):
       >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
       >>> change = ju.studies.compare(maps, higher_mask, progress=False)
       >>> change.layers[:3], change.a.grid.shape
-      (('density', 'gdop', 'gps'), (30, 30))
+      (('obstacle', 'gps', 'gdop'), (30, 30))
       >>> change.a.altitudes_m, change.left_out
       ((60.0,), ())
     """
