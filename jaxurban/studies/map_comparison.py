@@ -135,7 +135,7 @@ class MapComparison(Result):
         """What B's maps change in the cost's metrics, in the cells open to planners, and for routes."""
         verdicts = [self._of_cells(), *self._of_routes(), *self._of_guesses()]
 
-        # Commands that can be pasted as they are; of maps in memory they are Python's. Double braces are of `str.format`.
+        # Commands that can be pasted as they are; of maps in memory they are Python's. Braces are of `str.format`.
         more = "ju.studies.compare(A, B, routes={needed})"
         view = "ju.view(A, against=B)"
         if all(self.names):
