@@ -17,7 +17,8 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import UNKNOWN_GROUND_M, highest_top_m
+from jaxurban.io.read.burn import UNKNOWN_GROUND_M
+from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.sampling import raster_values
 from jaxurban.progress import LOG
 from jaxurban.satellites.rule import FARTHEST_MARGIN_M, HIDDEN, LOWEST_HORIZON_DEG, states_of

@@ -189,7 +189,9 @@ def read_city(
             warn(covers_too_much(buildings.source, region, main), GuessWarning)
 
     # People, and what was guessed of heights, of people and of the ground.
-    guesses += source.guesses + height_guesses(source, box_m, buildings)
+    guesses += source.guesses + height_guesses(
+        source.buildings, source.learned, crs, box_m, buildings
+    )
     guesses += structure_guesses(source.others, box_m)
     num_lost = issues.get(ReadIssue.POLYGONS_DROPPED)
     if num_lost:
@@ -202,7 +204,8 @@ def read_city(
     if ground is None:
         guesses += guessed(GuessKind.FLAT_GROUND)
     else:
-        guesses += terrain_guesses(source, ground, box_m)
+        stands = source.roofs if source.standing is None else source.standing
+        guesses += terrain_guesses(stands, ground, crs, box_m)
     warn_of(guesses)
 
     return replace(
@@ -282,7 +285,9 @@ def _check_buildings(
 ) -> None:
     """Raise InputError where heights look like elevations, or none is in the region, unless the settings allow it."""
     if not file.allow_high:
-        check_are_heights(repr(str(file.source)), source, ground)
+        stands = source.roofs if source.buildings is None else source.buildings
+        name = repr(str(file.source))
+        check_are_heights(name, stands, source.crs, source.extent_m, ground)
     has_outline = source.buildings is not None and source.buildings.touches(box_m).any()
     has_roof = source.roofs is not None and (source.roofs.values > 0).any()
     if not (has_outline or has_roof or file.allow_none):

@@ -1,6 +1,7 @@
 """Guesses of what reads a city: on heights, on what else stands, and on people in census blocks."""
 
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ import numpy as np
 from jaxurban import settings
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
 from jaxurban.io.read.issues import ReadIssue, ReadIssues, listed_counts
-from jaxurban.io.read.learned import CLASSES
+from jaxurban.io.read.learned import CLASSES, Learned
 from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import lonlat_boxes
@@ -17,7 +18,6 @@ from jaxurban.world.footprints import GUESSED_BY, Footprints
 from jaxurban.world.grid import Bounds
 
 if TYPE_CHECKING:
-    from jaxurban.io.city import City
     from jaxurban.metrics.population import Population
 
 
@@ -27,33 +27,41 @@ def guessed_share(buildings: Footprints, bounds_m: Bounds) -> float:
     return float(is_guessed.mean()) if is_guessed.size else 0.0
 
 
-def height_guesses(source: "City", bounds_m: Bounds, file: settings.Buildings) -> Guesses:
+def height_guesses(
+    buildings: Footprints | None,
+    learned: Mapping[str, Learned],
+    crs: str,
+    bounds_m: Bounds,
+    file: settings.Buildings,
+) -> Guesses:
     """Return the guesses on the heights of the buildings in a box: on those that are guessed, and on impossible ones.
 
     There is none if few are guessed and none is above `HIGHEST_M`.
 
     Args:
-      source: the buildings of a file; of a height raster nothing is guessed.
-      bounds_m: x_min, y_min, x_max, y_max of the box in the city's CRS.
+      buildings: of a file; None of a height raster, of which nothing is guessed.
+      learned: what is guessed by class of footprint.
+      crs: projected CRS of the city.
+      bounds_m: x_min, y_min, x_max, y_max of the box in it.
       file: the rules by which heights were guessed.
     """
-    if source.buildings is None:
+    if buildings is None:
         return ()
-    inside = source.buildings.inside(bounds_m)
-    learned = [f"{name} {source.learned[name]}" for name in CLASSES if name in source.learned]
-    default = f"by the median of their class: {'; '.join(learned)}"
+    inside = buildings.inside(bounds_m)
+    medians = [f"{name} {learned[name]}" for name in CLASSES if name in learned]
+    default = f"by the median of their class: {'; '.join(medians)}"
     if file.default_height_m is not None:
         default = f"by the default of {file.default_height_m:g} m"
     numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M, "default": default}
     counts = {words: int((inside.origin == origin).sum()) for origin, words in GUESSED_BY.items()}
     kinds = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
-    share = guessed_share(source.buildings, bounds_m)
+    share = guessed_share(buildings, bounds_m)
     guesses = guessed(GuessKind.HEIGHTS, share, number=len(inside), kinds=kinds)
     if file.highest_m is not None:
         guesses += guessed(GuessKind.HIGHEST_SAID, highest_m=str(file.highest_m))
     high = inside.take(inside.height_m > HIGHEST_M)
     if len(high):
-        lon, lat = lonlat_boxes(high.polygons, source.crs)[0, :2].tolist()
+        lon, lat = lonlat_boxes(high.polygons, crs)[0, :2].tolist()
         height_m = float(high.height_m[0])
         guesses += guessed(
             GuessKind.HIGH_ROOFS, number=len(high), place=(lon, lat), height_m=height_m

@@ -8,7 +8,7 @@ import shapely
 from rasterio.fill import fillnodata
 
 from jaxurban.errors import InputError
-from jaxurban.io.city import City
+from jaxurban.io.read.burn import UNKNOWN_GROUND_M, burn
 from jaxurban.io.read.kinds import WOOD
 from jaxurban.io.read.raster import (
     GROUND_M,
@@ -19,8 +19,7 @@ from jaxurban.io.read.raster import (
 )
 from jaxurban.io.read.sampling import raster_values, resample_raster
 from jaxurban.knowledge import Guesses, GuessKind, guessed
-from jaxurban.settings import TO_GROUND
-from jaxurban.world.footprints import HeightOrigin
+from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, covering_grid
 from jaxurban.world.raster import Raster
 
@@ -171,7 +170,13 @@ def plants_guesses(name: str, plants: Raster, crs: str, box_m: Bounds) -> Guesse
     return guessed(GuessKind.WITHOUT_PLANTS, share, file=name, limit_m=WOOD.limit_m)
 
 
-def check_are_heights(name: str, city: City, terrain: Raster | None) -> None:
+def check_are_heights(
+    name: str,
+    stands: Footprints | Raster | None,
+    crs: str,
+    extent_m: Bounds,
+    terrain: Raster | None,
+) -> None:
     """Raise InputError if the heights of buildings, of which there are `LEAST_BUILDINGS`, look like elevations.
 
     Nearly all are higher than the ground lies above the sea there, and that is more than `LEAST_LEVEL_M`; or none is
@@ -180,21 +185,23 @@ def check_are_heights(name: str, city: City, terrain: Raster | None) -> None:
 
     Args:
       name: of the file of buildings, for messages.
-      city: its buildings near a region, by outlines or a raster.
+      stands: buildings near a region, by outlines or as a raster of roofs.
+      crs: projected CRS of the city.
+      extent_m: x_min, y_min, x_max, y_max of the buildings in it.
       terrain: elevation of the ground; None where it is not known.
     """
-    if city.buildings is not None:
-        is_lost = city.buildings.origin == HeightOrigin.UNREADABLE
-        is_stated = ~city.buildings.is_guessed | is_lost
-        height_m = np.where(is_lost, np.inf, city.buildings.height_m)[is_stated]
+    if isinstance(stands, Footprints):
+        is_lost = stands.origin == HeightOrigin.UNREADABLE
+        is_stated = ~stands.is_guessed | is_lost
+        height_m = np.where(is_lost, np.inf, stands.height_m)[is_stated]
         if len(height_m) < LEAST_STATED * len(is_stated):
             return
         has_ground = is_stated & (terrain is not None)
-        x_m, y_m = shapely.get_coordinates(shapely.centroid(city.buildings.polygons[has_ground])).T
+        x_m, y_m = shapely.get_coordinates(shapely.centroid(stands.polygons[has_ground])).T
     else:
-        assert city.roofs is not None
-        grid = covering_grid(city.extent_m, HOUSE_M, city.crs)
-        roof_m = resample_raster(city.roofs, grid)
+        assert stands is not None
+        grid = covering_grid(extent_m, HOUSE_M, crs)
+        roof_m = resample_raster(stands, grid)
         row, col = np.nonzero(roof_m > GROUND_M)
         height_m = roof_m[row, col]
         x_m, y_m = grid.xy_of_cell(row, col)
@@ -202,7 +209,7 @@ def check_are_heights(name: str, city: City, terrain: Raster | None) -> None:
         return
     is_high = np.mean(height_m < HIGH_M) < FEW_LOW
     if terrain is not None:
-        ground_m = raster_values(terrain, x_m, y_m, city.crs, "nearest")
+        ground_m = raster_values(terrain, x_m, y_m, crs, "nearest")
         is_known = np.isfinite(ground_m)
         if is_known.sum() >= LEAST_BUILDINGS and np.median(ground_m[is_known]) > LEAST_LEVEL_M:
             is_high |= np.mean(height_m[is_known] > ground_m[is_known]) > MOST_ABOVE
@@ -227,30 +234,46 @@ def pixel_guesses(roofs: Raster, crs: str) -> Guesses:
     return guesses
 
 
-def terrain_guesses(city: City, terrain: Raster, box_m: Bounds) -> Guesses:
+def terrain_guesses(
+    stands: Footprints | Raster | None, terrain: Raster, crs: str, box_m: Bounds
+) -> Guesses:
     """Return the guess that terrain which rises under buildings is bare ground; empty where it does not rise.
 
     Args:
-      city: what stands.
+      stands: what stands, by outlines, or as a raster of roofs.
       terrain: elevation of the ground.
-      box_m: x_min, y_min, x_max, y_max of the region in the city's CRS, of which the middle is looked at.
+      crs: projected CRS of the city.
+      box_m: x_min, y_min, x_max, y_max of the region in it, of which the middle is looked at.
     """
     from scipy.ndimage import binary_erosion, uniform_filter
 
     around_m = shapely.box(*box_m).centroid.buffer(AROUND_M).bounds
-    grid = covering_grid(around_m, CELL_M, city.crs)
-    from jaxurban.io.read.rasterise import rasterise  # imported here: it brings JAX
-
-    surface = rasterise(replace(city, terrain=terrain, hanging=TO_GROUND), grid)
-    has_data = np.ones(grid.shape) if surface.has_data is None else surface.has_data
+    grid = covering_grid(around_m, CELL_M, crs)
+    terrain_m = resample_raster(terrain, grid, "bilinear")
+    has_data = np.isfinite(terrain_m)
+    terrain_m[~has_data] = UNKNOWN_GROUND_M
+    if isinstance(stands, Footprints):
+        roof_m, _ = burn(
+            stands.polygons,
+            stands.height_m,
+            grid,
+            0.0,
+            "float32",
+            boxes_m=stands.boxes_m,
+            has_touched=False,
+        )
+    else:
+        assert stands is not None
+        roof_m = resample_raster(stands, grid)
+        has_data &= np.isfinite(roof_m)
+        roof_m = np.fmax(roof_m, np.float32(0))
 
     # Terrain and roofs above their mean around, where all around is known.
     is_known = binary_erosion(has_data, np.ones((NEAR_CELLS, NEAR_CELLS)))
     if is_known.sum() < LEAST_CELLS:
         return ()
     rise_m, height_m = (
-        (values - uniform_filter(values, NEAR_CELLS))[is_known]
-        for values in (surface.terrain_m, surface.roof_m)
+        (values - uniform_filter(values, NEAR_CELLS))[is_known] for values in (terrain_m, roof_m)
     )
     (of_rise, both), (_, of_height) = np.cov(rise_m, height_m)
     is_related = both > LEAST_CORRELATION * np.sqrt(of_rise * of_height)
