@@ -109,7 +109,7 @@ def routes(maps: ju.MetricMaps) -> None:
             ju.cost_map(maps, altitude_m, objective="distance", constraints=each)
             for each in (None, limits)
         )
-        islands = kept.islands.reshape(-1, *maps.grid.shape)[-1]
+        islands = kept.free_space.islands.reshape(-1, *maps.grid.shape)[-1]
         largest = np.bincount(islands[islands > 0]).argmax()
         cells = np.argwhere(islands == largest)
         longer, below_m, bad_m, before_m = [], 0.0, 0.0, 0.0

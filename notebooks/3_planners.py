@@ -126,7 +126,7 @@ instances = ju.studies.sample_instances(maps, 24, weights=[ju.Weights()]).query(
 pairs = instances[["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]]
 shortest = instances["distance_m"].argmin()  # which few samples solve
 x0, y0, x1, y1 = pairs.to_numpy()[shortest]
-start_end, goal_end = weighted.ends(ju.XY(x0, y0), ju.XY(x1, y1))
+start_end, goal_end = weighted.free_space.ends(ju.XY(x0, y0), ju.XY(x1, y1))
 query = weighted.problem.between(start_end.cell, goal_end.cell)
 rows = {}
 for backend in ("numba", "jax"):

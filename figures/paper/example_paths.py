@@ -15,12 +15,11 @@ from matplotlib.figure import Figure
 from figures.paper.common import IS_SMALL, PATH_M, TOWNS, Caption, Town, save
 from jaxurban.maps.scenario import PAPER_PLANNERS
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.finish import finish, map_settings
+from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import places_near
 from jaxurban.planners.registry import find_planner
 from jaxurban.report.figures.frame import (
     BLOCKED_COLOUR,
@@ -123,7 +122,7 @@ def place(shared: CostMap, name: str, share: Share):
     x_m = grid.x_min_m + share[0] * (grid.x_max_m - grid.x_min_m)
     y_m = grid.y_min_m + share[1] * (grid.y_max_m - grid.y_min_m)
     # A share of the region may lie in any building.
-    return places_near(shared, name, XY(x_m, y_m), math.inf, False)[0]
+    return shared.free_space.places_near(name, XY(x_m, y_m), math.inf, False)[0]
 
 
 def window(grid: Grid, paths: Sequence[PlannedPath]) -> Grid:
@@ -188,7 +187,7 @@ def draw(
         parts[0],
         panels,
         heading,
-        f"{note}\npreset paper  ·  {rules_said(map_settings(shared))}",
+        f"{note}\npreset paper  ·  {rules_said(shared.record)}",
         **look,
     )
     for panel, paths in zip(axes, results, strict=True):

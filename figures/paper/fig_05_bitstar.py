@@ -13,7 +13,6 @@ from matplotlib.patches import Patch
 
 import jaxurban as ju
 from figures.paper.common import Caption, save
-from jaxurban.paths.finish import map_settings
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.bounds import make_bounds
@@ -233,7 +232,7 @@ def main() -> None:
     first, second, last = batches[1], batches[2], batches[-1]
     kept = first.tree.pruned()
     picture = Picture(maps, problem)
-    rules = rules_said(map_settings(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS)))
+    rules = rules_said(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS).record)
     note = f"{frame_note(maps)}\n{ALTITUDE_M:g} m above ground  ·  {rules}"
     panels = [MapPanel(title, picture.ground()) for title in panel_titles(problem, batches, kept)]
     figure, axes = draw_maps(

@@ -270,7 +270,7 @@ def plan_command(
     # Imported here: it takes a second or two.
     from jaxurban.maps.levels import Levels
     from jaxurban.paths.explain import explain, with_return_altitude
-    from jaxurban.paths.finish import simplify
+    from jaxurban.paths.finish import plan_on, simplify
     from jaxurban.paths.ground_risk import overflown_density
     from jaxurban.paths.plan import cost_map
     from jaxurban.paths.search import PathSearch
@@ -291,7 +291,7 @@ def plan_command(
     path_search = PathSearch.of(maps.planning, levels is not None, **search)
     costs = cost_map(maps, levels or altitude_m, **choice)
     _log_closed(costs)
-    planned = costs.planned(start, goal, path_search)
+    planned = plan_on(costs, start, goal, path_search)
     if outputs.simplify_m:
         planned = simplify(planned, costs, outputs.simplify_m)
 

@@ -359,7 +359,9 @@ def _locate(
     for k in numbers:
         try:
             start, goal = queries[k].start, queries[k].goal
-            ends = cost_map.ends(start, goal, snap=search.snap, on_ground=search.on_ground)
+            ends = cost_map.free_space.ends(
+                start, goal, snap=search.snap, on_ground=search.on_ground
+            )
         except InputError as error:
             results.refuse(k, error)
         else:

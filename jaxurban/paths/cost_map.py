@@ -1,58 +1,37 @@
 """CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Unpack
 
 import numpy as np
 
 from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
-from jaxurban.maps.levels import Levels, listed_m
+from jaxurban.maps.levels import Levels, around, listed_m
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
 from jaxurban.paths.choices import SearchChoice
 from jaxurban.paths.closed import causes_at, closed_facts
-from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.finish import finish, map_notes, map_settings
+from jaxurban.paths.constraints import Constraints, describe_kept
+from jaxurban.paths.finish import plan_on
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.places import XY, End, Point, one_place
+from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import (
-    free_to_ground,
-    islands_at,
-    joined_ends,
-    places_near,
-    why_closed,
-)
-from jaxurban.planners.astar import AUTO, make_landmarks
-from jaxurban.planners.base import Cell, Path, Problem, Status, islands_of
-from jaxurban.planners.corners import with_corner_bound
+from jaxurban.paths.snapping import FreeSpace
+from jaxurban.planners.astar import make_landmarks
+from jaxurban.planners.base import Problem
 from jaxurban.planners.cost import CostModel, PathFeatures
-from jaxurban.planners.exposure import within_budgets
-from jaxurban.planners.refine import check_line_model
-from jaxurban.planners.refine import refine as refine_path
-from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.progress import warn_if_slow
 from jaxurban.public import FactsRepr
-from jaxurban.settings import Objective, OnGround, as_tuple
+from jaxurban.settings import Objective, as_tuple
 from jaxurban.world.grid import Grid
 
-REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
-
-
-@dataclass
-class MapCache:
-    """What a cost map derives for its queries; None until it is needed.
-
-    Attributes:
-      shortest, problem, terrain_m: as of `CostMap`.
-    """
-
-    shortest: Problem | None = None
-    problem: Problem | None = None
-    terrain_m: np.ndarray | None = None
+NOT_THE_PAPER = (
+    "The paper's preset knows buildings alone, and these maps hold other kinds of obstacles too: to compare, make them "
+    'with [obstacles] kinds = ["building"].'
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -78,7 +57,6 @@ class CostMap(FactsRepr):
         value; ``[L, K, Y, X]`` in a volume.
       is_free: ``[Y, X]`` or ``[K, Y, X]`` bool, where a path may fly: no obstacle, data there, within the constraints.
       is_prepared: whether landmarks guide the planners that choose their heuristic (see `prepare`).
-      cache: what is derived from it.
 
     Examples:
       >>> cost_map = ju.cost_map(maps, 60.0)
@@ -101,7 +79,6 @@ class CostMap(FactsRepr):
     costs: np.ndarray
     is_free: np.ndarray
     is_prepared: bool = False
-    cache: MapCache = field(init=False, default_factory=MapCache)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -160,13 +137,61 @@ class CostMap(FactsRepr):
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """What a cost map says of itself in the settings of the paths on it (`finish.map_settings`)."""
-        return map_settings(self)
+        """What it says of itself in the settings of the paths on it: plain values, by the names of their record."""
+        settings: dict[str, Any] = {
+            "objective": self.objective,
+            **self.cost_model.settings,
+            "weights": {name: float(self.weights[name]) for name in ("distance", *self.names)},
+            **self.when,
+            "limits": self.constraints.to_dict(),
+            "obstacles": self.maps.obstacles,
+            "resolution_m": self.grid.resolution_m,
+        }
+        if self.levels is None:
+            around_m = around(self.altitude_m, self.maps.altitudes_m)
+            if len(around_m) == 2:
+                settings["metrics_between_m"] = around_m
+            return settings
+        climb_cost, descent_cost = self.weight_vector[-2:].tolist()
+        return settings | {
+            "min_altitude_m": self.levels.min_altitude_m,
+            "max_altitude_m": self.levels.max_altitude_m,
+            "level_step_m": self.levels.level_step_m,
+            "levels_m": self.altitudes_m.tolist(),
+            "climb_cost": climb_cost,
+            "descent_cost": descent_cost,
+        }
 
     @cached_property
-    def notes(self) -> tuple[str, ...]:
+    def note(self) -> str:
         """The sentences that it adds to the note of every path on it."""
-        return tuple(map_notes(self))
+        return " ".join(filter(None, self._notes()))
+
+    def _notes(self) -> Iterator[str]:
+        """Yield the sentences of `note`, some of which may be empty."""
+        if not self.is_weighed and self.objective == "weighted":
+            yield "All weights are zero, so every path is as cheap: the distance was minimised instead."
+        constraints = self.constraints
+        kept = describe_kept(constraints.to_dict(), self.grid.resolution_m)
+        if kept:
+            yield f"Distance to obstacles: {constraints.horizontal_m:g} m asked, {kept}."
+        between_m = self.record.get("metrics_between_m")
+        if between_m:
+            low_m, high_m = between_m
+            yield f"Metrics at {self.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
+        if self.maps.planning.preset == "paper" and ROOF_KIND in self.maps.ds:
+            yield NOT_THE_PAPER
+
+        # Metrics that the maps lack, and the caveats of those that count.
+        weighed = [name for name, weight in self.weights.to_dict().items() if weight > 0]
+        missing = [name for name in weighed if name not in ("distance", *self.names)]
+        if missing:
+            yield f"These maps hold no {' and no '.join(missing)}, so that weight is ignored."
+        bounded = {bound.variable for bound in constraints.bounds}
+        for name, metric in self.maps.metrics.items():
+            is_paid_for = name in self.names and self.weights[name] > 0
+            if is_paid_for or not bounded.isdisjoint(metric.variables):
+                yield metric.caveat
 
     @cached_property
     def is_weighed(self) -> bool:
@@ -184,7 +209,15 @@ class CostMap(FactsRepr):
         layers = zip(self.costs, other_weights, strict=False)
         return any(weight > 0 and costs.any() for costs, weight in layers)
 
-    @property
+    @cached_property
+    def free_space(self) -> FreeSpace:
+        """Where its paths may fly: ends of queries, islands of joined cells, and what closes a cell."""
+        joins_corners = self.cost_model.joins_corners and not self.leg_margin_m
+        return FreeSpace(
+            self.maps, self.altitudes_m, self.constraints, self.is_free, self.when, joins_corners
+        )
+
+    @cached_property
     def problem(self) -> Problem:
         """The planners' view of the map under its weights, made once.
 
@@ -193,26 +226,19 @@ class CostMap(FactsRepr):
         Raises:
           InputError: no cell is free.
         """
-        if self.cache.problem is None:
-            problem = self.shortest
-            if self.is_weighed:
-                problem = problem.with_weights(self.weight_vector)
-            self.cache.problem = problem
-        return self.cache.problem
+        return self.shortest.with_weights(self.weight_vector) if self.is_weighed else self.shortest
 
-    @property
+    @cached_property
     def shortest(self) -> Problem:
         """The same as `problem`, but length alone costs: for the shortest path. Made once.
 
         Raises:
           InputError: no cell is free.
         """
-        if self.cache.shortest is not None:
-            return self.cache.shortest
-        self.check_any_free()
+        self.free_space.check_any()
         indices = np.unravel_index(np.argmax(self.is_free), self.is_free.shape)
         first_free = tuple(map(int, indices))
-        self.cache.shortest = Problem(
+        return Problem(
             costs=self.costs,
             is_free=self.is_free,
             start=first_free,
@@ -223,19 +249,6 @@ class CostMap(FactsRepr):
             levels_m=None if self.levels is None else self.altitudes_m,
             leg_margin_m=self.leg_margin_m,
         )
-        return self.cache.shortest
-
-    def check_any_free(self) -> None:
-        """Refuse a map without a free cell, on which no path can be planned.
-
-        Raises:
-          InputError: no cell is free; says what opens cells.
-
-        Examples:
-          >>> ju.cost_map(maps, 60.0).check_any_free()
-        """
-        if not self.is_free.any():
-            raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self.remedy}")
 
     @typed
     def only(self, metrics: Iterable[str]) -> "CostMap":
@@ -281,8 +294,7 @@ class CostMap(FactsRepr):
           [848, 864]
         """
         other = replace(self, weights=weights_on(self.maps, weights), is_prepared=False)
-        other.cache.shortest = self.shortest
-        other.cache.terrain_m = self.terrain_m
+        vars(other).update(shortest=self.shortest, free_space=self.free_space)
         return other
 
     def prepare(self) -> "CostMap":
@@ -309,8 +321,9 @@ class CostMap(FactsRepr):
         # The landmarks are kept by the problem, which the new map shares. Searches on this map pass over them.
         make_landmarks(self.problem)
         prepared = replace(self, is_prepared=True)
-        prepared.cache.shortest = self.shortest
-        prepared.cache.problem = self.problem
+        vars(prepared).update(
+            shortest=self.shortest, problem=self.problem, free_space=self.free_space
+        )
         return prepared
 
     def cost_of(self, name: str) -> float:
@@ -326,108 +339,10 @@ class CostMap(FactsRepr):
         """
         return float(self.costs[self.names.index(name)][self.is_free].max(initial=0.0))
 
-    def cell_of(self, name: str, place: Point | XY) -> tuple[tuple[float, float], Cell]:
-        """Return where a place is on the maps, free or not (arguments and errors as of `places_near`).
-
-        Returns:
-          Easting and northing in metres in the maps' CRS, and row and column of the cell.
-
-        Examples:
-          >>> xy_m, cell = ju.cost_map(maps, 60.0).cell_of("start", start)
-          >>> [round(value) for value in xy_m], cell
-          ([586650, 4514550], (2, 2))
-        """
-        grid = self.grid
-        coordinates: Any = place[:2]  # an altitude does not matter here
-        try:
-            if isinstance(place, XY):
-                x_m, y_m = coordinates
-                row, col = grid.cell_of_xy(x_m, y_m)
-            else:
-                x_m, y_m = grid.xy_of_lonlat(*coordinates)
-                row, col = grid.cell_of_lonlat(*coordinates)
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from error
-        return (float(x_m), float(y_m)), (int(row), int(col))
-
-    def ends(
-        self,
-        start: Point | XY,
-        goal: Point | XY,
-        *,
-        snap: bool | float = False,
-        on_ground: OnGround = False,
-    ) -> tuple[End, End]:
-        """Return the cells of a query; in a volume the nodes. Arguments and errors are as of `places_near`.
-
-        With ``on_ground`` only cells are free above which the air is, from the ground up (`free_to_ground`).
-
-        Snapping takes the free cells nearest to both that a way through free cells joins. An end leaves a free cell
-        only where nothing within reach of the other end is joined to it. Where no two within reach are joined, the
-        nearest free ones are taken.
-
-        Returns:
-          `End` of the start and of the goal.
-
-        Examples:
-          >>> [end.cell for end in ju.cost_map(maps, 60.0).ends(start, goal)]
-          [(2, 2), (27, 27)]
-        """
-        # The possible ends of each place, the nearest first.
-        starts = places_near(self, "start", start, snap, on_ground is True)
-        goals = places_near(self, "goal", goal, snap, bool(on_ground))
-        return joined_ends(self, starts, goals) if snap else (starts[0], goals[0])
-
-    @cached_property
-    def free_to_ground(self) -> Callable[[int], np.ndarray]:
-        """Where missions may take off to a level, by its number, each made once (`snapping.free_to_ground`)."""
-        return cache(partial(free_to_ground, self))
-
-    @cached_property
-    def islands(self) -> np.ndarray:
-        """``[Y, X]`` or ``[K, Y, X]`` the number of the island of joined free cells, 0 where a cell is closed."""
-        return islands_of(self.is_free, self.cuts_corners)
-
-    @cached_property
-    def islands_at(self) -> Callable[[tuple[float, ...]], np.ndarray]:
-        """The islands of other levels, each made once (`snapping.islands_at`)."""
-        return cache(partial(islands_at, self))
-
-    @property
-    def cuts_corners(self) -> bool:
-        """Whether a free cell joins those that it touches with a corner."""
-        return self.cost_model.joins_corners and not self.leg_margin_m
-
     @property
     def leg_margin_m(self) -> float:
         """What straight legs keep from closed cells, for the clearance."""
         return self.constraints.leg_margin_m(self.grid.resolution_m)
-
-    @property
-    def levels_free(self) -> np.ndarray:
-        """``[K, Y, X]`` where a path may fly, on one altitude too."""
-        return self.is_free.reshape(-1, *self.grid.shape)
-
-    @property
-    def remedy(self) -> str:
-        """What a user can do so that more cells are free, as the end of a message."""
-        remedy = "fly higher"
-        if self.levels is not None:
-            remedy = "fly at another level, raise max_altitude_m"
-        constraints = str(self.constraints)
-        return f"{remedy}, or loosen the constraints ({constraints})" if constraints else remedy
-
-    def why_closed(self, cell: Cell, level: int = 0) -> str:
-        """Return what closes a cell of a level and which level over it is free (`jaxurban.paths.snapping`).
-
-        Returns:
-          A phrase that goes after "it is".
-
-        Examples:
-          >>> ju.cost_map(maps, 20.0).why_closed((1, 6))
-          'closed by the vertical clearance of 3 m that is kept from obstacles and the border at 20 m'
-        """
-        return why_closed(self, cell, level)
 
     @typed
     def plan(
@@ -453,77 +368,7 @@ class CostMap(FactsRepr):
         start_place = one_place("start", start, start_xy_m)
         goal_place = one_place("goal", goal, goal_xy_m)
         search = PathSearch.of(is_for_volumes=self.levels is not None, **choice)
-        return self.planned(start_place, goal_place, search)
-
-    def planned(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
-        """Return a path between two places, given as for `cell_of`, searched for as a checked `PathSearch` says.
-
-        Returns:
-          `PlannedPath`, as of `plan`, which is simpler to call.
-
-        Examples:
-          >>> from jaxurban.paths.search import PathSearch
-          >>> ju.cost_map(maps, 60.0).planned(start, goal, PathSearch.of(planner="ptp")).status.value
-          'blocked'
-        """
-        # The planner: landmarks guide it where the map is prepared and the search leaves its heuristic to it.
-        is_guided = self.is_prepared and not search.exposure and search.heuristic is None
-        if is_guided and PLANNERS[search.planner].default_heuristic == AUTO:
-            search = replace(search, heuristic="landmarks")
-        find_path = find_planner(
-            search.planner,
-            search.heuristic,
-            is_for_volumes=self.levels is not None,
-            backend=search.backend,
-        )
-
-        # The problem, and whether it suits what is asked beside the path.
-        ends = self.ends(start, goal, snap=search.snap, on_ground=search.on_ground)
-        start_end, goal_end = ends
-        problem = self.problem.between(start_end.cell, goal_end.cell)
-        if search.refine:
-            check_line_model(problem, "refinement")
-        if search.exposure:
-            self._check_exposure(search.exposure)
-            find_path = partial(
-                within_budgets, planner=find_path, budgets=search.exposure, names=self.names
-            )
-
-        # Without a way between ends that could be moved there is nothing to search.
-        if search.snap and self.islands[problem.start] != self.islands[problem.goal]:
-            nowhere_m = np.empty((0, problem.is_free.ndim))
-            apart = Path(Status.NO_PATH, nowhere_m, np.inf, np.inf, 0, 0.0, search.planner)
-            return finish(self, apart, ends, search)
-
-        # The search. An anytime planner would leave nothing of the budget to refine with.
-        share = 1 - REFINING_SHARE if search.refine else 1.0
-        with warn_if_slow(search.planner, search.budget_s):
-            path = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
-
-        # Refinement, for which half of its share of the budget is left even where the search took longer.
-        if search.refine and path.status.has_path:
-            least_s = search.budget_s * REFINING_SHARE / 2
-            left_s = search.budget_s - path.elapsed_s
-            path = refine_path(problem, path, budget_s=max(left_s, least_s))
-        return finish(self, with_corner_bound(problem, path), ends, search)
-
-    def _check_exposure(self, names: Iterable[str]) -> None:
-        """Check that budgets of exposure can be kept on this map.
-
-        Args:
-          names: of the metrics that have a budget.
-
-        Raises:
-          InputError: a name that is none of the map's metrics, or the cost model ``"cell"``, which sums costs by cell
-            and not along the path.
-        """
-        if self.cost_model.kind == "cell":
-            raise InputError(
-                "a budget of exposure is of an integral along the path, which cost_model='cell' does not add up: "
-                "choose cost_model='line' (--rules cost_model=line)"
-            )
-        for name in names:
-            one_of("exposure", name, self.names)
+        return plan_on(self, start_place, goal_place, search)
 
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell.
@@ -547,10 +392,3 @@ class CostMap(FactsRepr):
             m = float(metrics[name].cost(mean_cost))
             means[name] = min(max(m, 0.0), 1.0)
         return means
-
-    @property
-    def terrain_m(self) -> np.ndarray | None:
-        """``[Y, X]`` elevation of the ground; None where the maps hold no terrain."""
-        if self.cache.terrain_m is None and "terrain" in self.maps.ds:
-            self.cache.terrain_m = self.maps.m("terrain")
-        return self.cache.terrain_m

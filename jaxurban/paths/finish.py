@@ -1,39 +1,42 @@
-"""Planner's paths made `PlannedPath`s: measured on their cost map, with its settings, and what is said of them."""
+"""A search on a cost map, and its path made a `PlannedPath`: measured, with settings, and what is said of it."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 
-from jaxurban.checks import typed
+from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import BESIDE_M, SAME_EXPOSURE, SAME_PLACE_M
-from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.paths.clearance import closing_step_m
-from jaxurban.paths.constraints import describe_kept
 from jaxurban.paths.ground import ground_along
 from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.places import End
+from jaxurban.paths.places import XY, End, Point
 from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import apart_note, snap_note
+from jaxurban.paths.snapping import snap_note
+from jaxurban.planners.astar import AUTO
 from jaxurban.planners.base import Path, Status
+from jaxurban.planners.corners import with_corner_bound
+from jaxurban.planners.exposure import within_budgets
+from jaxurban.planners.refine import check_line_model
+from jaxurban.planners.refine import refine as refine_path
+from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.planners.simplify import simplify_path
+from jaxurban.progress import warn_if_slow
 
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
 
+REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
 ABOVE_HIGHEST = (
     "Roofs of unknown height count up to their bound: with unknown_heights likely (--rules) they "
     "count up to what 99 % of their kind keep below."
-)
-NOT_THE_PAPER = (
-    "The paper's preset knows buildings alone, and these maps hold other kinds of obstacles too: to compare, make them "
-    'with [obstacles] kinds = ["building"].'
 )
 NOT_MEASURED: dict[str, Any] = {  # of a search without a path, under the names of `PlannedPath`
     "xy_m": np.empty((0, 2)),
@@ -46,6 +49,82 @@ NOT_MEASURED: dict[str, Any] = {  # of a search without a path, under the names 
 }
 
 
+def plan_on(
+    cost_map: "CostMap", start: Point | XY, goal: Point | XY, search: PathSearch
+) -> PlannedPath:
+    """Return a path between two places, searched for as a checked `PathSearch` says.
+
+    Args:
+      cost_map: the map to plan on.
+      start, goal: longitude, latitude in degrees, or `XY`; in a volume with an altitude, if liked.
+      search: how to search.
+
+    Returns:
+      `PlannedPath`, as of `CostMap.plan`, which is simpler to call; errors too.
+    """
+    # The planner: landmarks guide it where the map is prepared and the search leaves its heuristic to it.
+    is_guided = cost_map.is_prepared and not search.exposure and search.heuristic is None
+    if is_guided and PLANNERS[search.planner].default_heuristic == AUTO:
+        search = replace(search, heuristic="landmarks")
+    find_path = find_planner(
+        search.planner,
+        search.heuristic,
+        is_for_volumes=cost_map.levels is not None,
+        backend=search.backend,
+    )
+
+    # The problem, and whether it suits what is asked beside the path.
+    space = cost_map.free_space
+    ends = space.ends(start, goal, snap=search.snap, on_ground=search.on_ground)
+    start_end, goal_end = ends
+    problem = cost_map.problem.between(start_end.cell, goal_end.cell)
+    if search.refine:
+        check_line_model(problem, "refinement")
+    if search.exposure:
+        _check_exposure(cost_map, search.exposure)
+        find_path = partial(
+            within_budgets, planner=find_path, budgets=search.exposure, names=cost_map.names
+        )
+
+    # Without a way between ends that could be moved there is nothing to search.
+    if search.snap and space.islands[problem.start] != space.islands[problem.goal]:
+        nowhere_m = np.empty((0, problem.is_free.ndim))
+        apart = Path(Status.NO_PATH, nowhere_m, np.inf, np.inf, 0, 0.0, search.planner)
+        return finish(cost_map, apart, ends, search)
+
+    # The search. An anytime planner would leave nothing of the budget to refine with.
+    share = 1 - REFINING_SHARE if search.refine else 1.0
+    with warn_if_slow(search.planner, search.budget_s):
+        path = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
+
+    # Refinement, for which half of its share of the budget is left even where the search took longer.
+    if search.refine and path.status.has_path:
+        least_s = search.budget_s * REFINING_SHARE / 2
+        left_s = search.budget_s - path.elapsed_s
+        path = refine_path(problem, path, budget_s=max(left_s, least_s))
+    return finish(cost_map, with_corner_bound(problem, path), ends, search)
+
+
+def _check_exposure(cost_map: "CostMap", names: Iterable[str]) -> None:
+    """Check that budgets of exposure can be kept on a cost map.
+
+    Args:
+      cost_map: to plan on.
+      names: of the metrics that have a budget.
+
+    Raises:
+      InputError: a name that is none of the map's metrics, or the cost model ``"cell"``, which sums costs by cell
+        and not along the path.
+    """
+    if cost_map.cost_model.kind == "cell":
+        raise InputError(
+            "a budget of exposure is of an integral along the path, which cost_model='cell' does not add up: "
+            "choose cost_model='line' (--rules cost_model=line)"
+        )
+    for name in names:
+        one_of("exposure", name, cost_map.names)
+
+
 def finish(
     cost_map: "CostMap", path: Path, ends: tuple[End, End], search: PathSearch
 ) -> PlannedPath:
@@ -54,7 +133,7 @@ def finish(
     Args:
       cost_map: the map that it was planned on.
       path: from a planner, or its verdict that there is none.
-      ends: start and goal, from `CostMap.ends`.
+      ends: start and goal, from `FreeSpace.ends`.
       search: how it was searched for, for the record.
     """
     budget_s = search.budget_s if np.isfinite(search.budget_s) else None
@@ -95,8 +174,9 @@ def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     if cost_map.levels is not None:
         z_m = points_m[:, 2]
     ground = None
-    if cost_map.terrain_m is not None:
-        ground = ground_along(from_corner_m, cost_map.terrain_m, grid)
+    terrain_m = cost_map.free_space.terrain_m
+    if terrain_m is not None:
+        ground = ground_along(from_corner_m, terrain_m, grid)
 
     # What it costs: phi holds, of each weight, what the weight is multiplied by.
     features = cost_map.problem.features(points_m)
@@ -116,46 +196,19 @@ def measured(cost_map: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
     }
 
 
-def map_notes(cost_map: "CostMap") -> Iterator[str]:
-    """Yield the sentences that are the same for every path on a cost map, which keeps them; some may be empty."""
-    maps, constraints = cost_map.maps, cost_map.constraints
-    if not cost_map.is_weighed and cost_map.objective == "weighted":
-        yield "All weights are zero, so every path is as cheap: the distance was minimised instead."
-    kept = describe_kept(constraints.to_dict(), cost_map.grid.resolution_m)
-    if kept:
-        yield f"Distance to obstacles: {constraints.horizontal_m:g} m asked, {kept}."
-    between_m = _between_m(cost_map)
-    if between_m:
-        low_m, high_m = between_m
-        yield f"Metrics at {cost_map.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m."
-    if maps.planning.preset == "paper" and ROOF_KIND in maps.ds:
-        yield NOT_THE_PAPER
-
-    # Metrics that the maps lack, and the caveats of those that count.
-    weighed = [name for name, weight in cost_map.weights.to_dict().items() if weight > 0]
-    missing = [name for name in weighed if name not in ("distance", *cost_map.names)]
-    if missing:
-        yield f"These maps hold no {' and no '.join(missing)}, so that weight is ignored."
-    bounded = {bound.variable for bound in constraints.bounds}
-    for name, metric in maps.metrics.items():
-        is_paid_for = name in cost_map.names and cost_map.weights[name] > 0
-        if is_paid_for or not bounded.isdisjoint(metric.variables):
-            yield metric.caveat
-
-
 def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
     """Return what the planner noted, and what else a reader of the path must know: sentences, or ``""``.
 
     Args:
       cost_map: the map that it was planned on.
       path: from a planner, or its verdict that there is none.
-      ends: start and goal, from `CostMap.ends`.
+      ends: start and goal, from `FreeSpace.ends`.
     """
     start, goal = ends
     has_path = path.status.has_path
     notes = [path.note]
     if path.status is Status.NO_PATH:
-        notes.append(apart_note(cost_map, start, goal))
+        notes.append(cost_map.free_space.apart_note(start, goal))
         if cost_map.constraints.of_unknown == "highest" and "roof_limit" in cost_map.maps.ds:
             notes.append(ABOVE_HIGHEST)
     notes.append(snap_note(start, goal))
@@ -170,48 +223,7 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
         notes.append(
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
         )
-    return " ".join(filter(None, [*notes, *cost_map.notes]))
-
-
-def map_settings(cost_map: "CostMap") -> dict[str, Any]:
-    """Return the settings that a cost map gives to the paths planned on it: plain values, by the names of their record.
-
-    `PlannedPath.settings` holds them, beside those of the search.
-    """
-    settings: dict[str, Any] = {
-        "objective": cost_map.objective,
-        **cost_map.cost_model.settings,
-        "weights": {name: float(cost_map.weights[name]) for name in ("distance", *cost_map.names)},
-        **cost_map.when,
-        "limits": cost_map.constraints.to_dict(),
-        "obstacles": cost_map.maps.obstacles,
-        "resolution_m": cost_map.grid.resolution_m,
-    }
-    if cost_map.levels is None:
-        between_m = _between_m(cost_map)
-        if between_m:
-            settings["metrics_between_m"] = between_m
-        return settings
-    climb_cost, descent_cost = cost_map.weight_vector[-2:].tolist()
-    return settings | {
-        "min_altitude_m": cost_map.levels.min_altitude_m,
-        "max_altitude_m": cost_map.levels.max_altitude_m,
-        "level_step_m": cost_map.levels.level_step_m,
-        "levels_m": cost_map.altitudes_m.tolist(),
-        "climb_cost": climb_cost,
-        "descent_cost": descent_cost,
-    }
-
-
-def _between_m(cost_map: "CostMap") -> list[float]:
-    """Return the two altitudes of the maps between which metrics are interpolated.
-
-    Empty in a volume, and where the maps hold the altitude itself.
-    """
-    if cost_map.levels is not None:
-        return []
-    around_m = cost_map.maps.around(cost_map.altitude_m)
-    return around_m if len(around_m) == 2 else []
+    return " ".join(filter(None, [*notes, cost_map.note]))
 
 
 @typed

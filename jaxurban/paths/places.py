@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Cell
+from jaxurban.world.grid import Grid
 
 # Longitude, latitude in degrees, and between levels an altitude if liked.
 Point = tuple[float | None, ...]
@@ -55,6 +56,39 @@ def one_place(name: str, lonlat: Point | XY | None, xy_m: Point | None) -> Point
         expected = IN_METRES if is_in_metres else IN_DEGREES
         raise InputError(f"{name} must be {expected}, got {place!r}")
     return XY(*values) if is_in_metres else tuple(values)
+
+
+def cell_at(grid: Grid, name: str, place: Point | XY) -> tuple[tuple[float, float], Cell]:
+    """Return where a place is on a grid.
+
+    Args:
+      grid: of maps.
+      name: of the place, for messages.
+      place: longitude, latitude in degrees, or an `XY` in the grid's CRS; an altitude does not matter.
+
+    Returns:
+      Easting and northing in metres in the grid's CRS, and row and column of the cell.
+
+    Raises:
+      InputError: a place outside the grid.
+
+    Examples:
+      >>> from jaxurban.paths.places import cell_at
+      >>> xy_m, cell = cell_at(maps.grid, "start", start)
+      >>> [round(value) for value in xy_m], cell
+      ([586650, 4514550], (2, 2))
+    """
+    coordinates: Any = place[:2]
+    try:
+        if isinstance(place, XY):
+            x_m, y_m = coordinates
+            row, col = grid.cell_of_xy(x_m, y_m)
+        else:
+            x_m, y_m = grid.xy_of_lonlat(*coordinates)
+            row, col = grid.cell_of_lonlat(*coordinates)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    return (float(x_m), float(y_m)), (int(row), int(col))
 
 
 @dataclass(frozen=True)

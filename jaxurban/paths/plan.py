@@ -17,6 +17,7 @@ from jaxurban.metrics.weights import WeightsLike, weights_on
 from jaxurban.paths.choices import PathChoice, parted
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.finish import plan_on
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import Point, one_place
 from jaxurban.paths.search import PathSearch
@@ -128,7 +129,7 @@ def cost_map(
     }
     if isinstance(altitude_m, Levels):
         volume = map_at(maps, altitude_m.of(maps.altitudes_m), altitude_m, **rules)
-        volume.check_any_free()
+        volume.free_space.check_any()
         return volume
     altitudes_m = np.array([finite("altitude_m", altitude_m, "metres, or Levels")])
     maps.around(altitudes_m[0])
@@ -276,4 +277,4 @@ def plan(
     search = PathSearch.of(maps.planning, isinstance(altitude_m, Levels), **search_choice)
     start_place = one_place("start", start, start_xy_m)
     goal_place = one_place("goal", goal, goal_xy_m)
-    return cost_map(maps, altitude_m, **map_choice).planned(start_place, goal_place, search)
+    return plan_on(cost_map(maps, altitude_m, **map_choice), start_place, goal_place, search)

@@ -57,6 +57,6 @@ def cost_to_go(
         altitude_m,
         **choice,
     )
-    _, end = weighed_maps.ends(place, place, snap=snap)
+    _, end = weighed_maps.free_space.ends(place, place, snap=snap)
     problem = weighed_maps.problem.between(end.cell, end.cell)
     return costs_by_tiles(problem) if backend == "jax" else astar.exact_cost_to_go(problem)

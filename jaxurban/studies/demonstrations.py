@@ -22,7 +22,7 @@ from jaxurban.paths.choices import RulesChoice
 from jaxurban.paths.constraints import describe_constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.places import MAX_SNAP_M, XY
+from jaxurban.paths.places import MAX_SNAP_M, XY, cell_at
 from jaxurban.paths.rows import RouteRules
 from jaxurban.paths.snapping import snap_note
 from jaxurban.planners.astar import astar
@@ -251,7 +251,7 @@ def demonstrations_from_paths(
                 raise InputError(f"it has no points ({path.status.value}): leave it out")
             cost_map = map_of(path.altitude_m, path.settings["time"], path.settings["time_of_day"])
             for xy_m in path.xy_m[[0, -1]]:
-                _, cell = cost_map.cell_of("it", XY(*xy_m.tolist()))
+                _, cell = cell_at(cost_map.grid, "it", XY(*xy_m.tolist()))
                 if not cost_map.is_free[cell]:
                     raise InputError(
                         "it starts or ends in a cell that is closed here: give the maps and constraints that it was "
@@ -409,7 +409,7 @@ def _redrawn(cost_map: CostMap, xy_m: np.ndarray, local: np.ndarray) -> _Followe
     """
     start, goal = xy_m[[0, -1]].tolist()
     try:
-        ends = cost_map.ends(XY(*start), XY(*goal), snap=True)
+        ends = cost_map.free_space.ends(XY(*start), XY(*goal), snap=True)
     except InputError as error:
         raise InputError(
             "it starts or ends inside an obstacle or in a closed cell, and no free cell is within "

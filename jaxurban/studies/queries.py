@@ -136,7 +136,7 @@ def make_queries(
         except (TypeError, ValueError) as error:
             raise InputError(f"each of pairs must be a start and a goal, got {pair!r}") from error
         try:
-            snapped_start, snapped_goal = cost_map.ends(start, goal, snap=snap)
+            snapped_start, snapped_goal = cost_map.free_space.ends(start, goal, snap=snap)
         except InputError as error:
             raise InputError(f"pair {number}: {error}") from error
         queries.append(RouteQuery(cost_map, snapped_start.cell, snapped_goal.cell, f"{number}"))

@@ -20,6 +20,7 @@ from jaxurban.paths.explain import explain, with_return_altitude
 from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.finish import simplify
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.places import cell_at
 from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.paths.route_report import RouteReport
 from jaxurban.paths.snapping import OVER_ROOF
@@ -142,10 +143,12 @@ class Plans:
         ends = {"start": query.start, "goal": query.goal}
         sentences = []
         for (name, lonlat), moved_m in zip(ends.items(), moves_m, strict=True):
-            _, cell = costs.cell_of(name, lonlat)
+            _, cell = cell_at(self.maps.grid, name, lonlat)
             if not costs.is_free[cell]:
-                sentences.append(f"{name} moved {moved_m:.0f} m: it was {costs.why_closed(cell)}")
-            elif query.on_ground and not costs.free_to_ground(0)[cell]:
+                sentences.append(
+                    f"{name} moved {moved_m:.0f} m: it was {costs.free_space.why_closed(cell)}"
+                )
+            elif query.on_ground and not costs.free_space.to_ground(0)[cell]:
                 sentences.append(f"{name} moved {moved_m:.0f} m: it was {OVER_ROOF}")
         return sentences
 
@@ -156,8 +159,8 @@ class Plans:
           InputError: as for `jaxurban.plan`.
         """
         costs = self.cost_map(query, at)
-        _, cell = costs.cell_of("the place", query.start)
-        said = "free to routes" if costs.is_free[cell] else costs.why_closed(cell)
+        _, cell = cell_at(self.maps.grid, "the place", query.start)
+        said = "free to routes" if costs.is_free[cell] else costs.free_space.why_closed(cell)
         facts = costs.facts
         return f"This cell is {said}. Free: {facts['free']}; closed: {facts['closed']}."
 

@@ -15,7 +15,7 @@ from jaxurban.cli import demo
 from jaxurban.cli import main as cli
 from jaxurban.exit_codes import ExitCode
 from jaxurban.maps import scenario
-from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths import finish
 from jaxurban.planners.base import Status
 from tests.cli_runs import ENDS, SCHEMA, check_json, run, write_city
 
@@ -171,12 +171,12 @@ def test_a_sensitivity_without_a_route_says_so_as_an_object(walled, capsys, tmp_
 
 
 def test_a_budget_that_is_spent_without_a_path_is_an_object(made, capsys, monkeypatch):
-    plan_as_ever = CostMap.planned
+    plan_as_ever = finish.plan_on
 
     def without_time(*args, **kwargs):
         return replace(plan_as_ever(*args, **kwargs), status=Status.BUDGET_EMPTY)
 
-    monkeypatch.setattr(CostMap, "planned", without_time)
+    monkeypatch.setattr(finish, "plan_on", without_time)
     code, out, _ = run(capsys, "plan", made, *ROUTE, "--json")
     assert code == ExitCode.UNKNOWN
     assert check_json(out, code, "plan")["status"] == "budget-empty"

@@ -178,7 +178,8 @@ def joined_ends(maps, limits):
     free = ju.cost_map(maps, 12.0, objective="distance")
     kept = ju.cost_map(maps, 12.0, objective="distance", constraints=limits)
     rng = np.random.default_rng(0)
-    cells = np.argwhere(kept.islands == np.bincount(kept.islands[kept.islands > 0]).argmax())
+    islands = kept.free_space.islands
+    cells = np.argwhere(islands == np.bincount(islands[islands > 0]).argmax())
     for _ in range(50):
         ends = [
             tuple(map(float, maps.grid.lonlat_of_cell(*cell)))
@@ -200,7 +201,7 @@ def test_routes_stay_above_it_and_reports_and_checks_say_where_they_do_not(two_a
     np.testing.assert_array_equal(cost_map.is_free, is_free & (floor_m <= 12))
     np.testing.assert_array_equal(cost_map.is_free, is_free & (maps.m("gdop", 12.0) <= 3.5))
     cell = tuple(map(int, np.argwhere(is_free & ~cost_map.is_free)[0]))
-    assert cost_map.why_closed(cell) == (
+    assert cost_map.free_space.why_closed(cell) == (
         f"closed by the GPS floor of {floor_m[cell]:.1f} m there at 12 m"
     )
 

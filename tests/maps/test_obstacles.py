@@ -112,7 +112,7 @@ def test_what_would_join_is_found_once_for_a_batch(monkeypatch):
     ends = pd.DataFrame([[*ENDS["start_xy_m"], *ENDS["goal_xy_m"]]] * 3, columns=list(IN_METRES))
     answers = ju.plan_many(maps, ends, altitude_m=20.0, progress=False).to_dataframe()
     assert all("joined at 60 m" in message for message in answers["message"])
-    assert len(labelled) == 1  # at 60 m
+    assert len(labelled) == 2  # at 20 and at 60 m
 
 
 def test_a_study_of_a_route_that_is_not_there_says_what_would_join_its_ends(tmp_path):

@@ -180,7 +180,7 @@ def test_every_planner_keeps_it_and_every_file_too(planner, seed, clearance_m, t
     num_found = 0
     for altitude_m, refine in ((20.0, False), (33.0, True)):
         on = ju.cost_map(maps, altitude_m, cost_model="line", constraints=constraints)
-        for ends in ends_in(maps, on.free_to_ground(0)):
+        for ends in ends_in(maps, on.free_space.to_ground(0)):
             start, goal = (ju.XY(*xy_m) for xy_m in ends.values())
             path = on.plan(start, goal, planner=planner, budget_s=0.3, refine=refine)
             if not path.status.has_path:

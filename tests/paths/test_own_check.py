@@ -81,7 +81,7 @@ def is_roof(maps) -> np.ndarray:
 def test_what_is_written_meets_no_roof_and_what_is_refused_does(town, city, tmp_path, planner):
     rng = np.random.default_rng(4)
     on = ju.cost_map(town, ALTITUDE_M)
-    roofs, free = np.argwhere(is_roof(town)), np.argwhere(on.free_to_ground(0))
+    roofs, free = np.argwhere(is_roof(town)), np.argwhere(on.free_space.to_ground(0))
     file = tmp_path / "x.plan"
     for k in range(16):
         cells = [rng.choice(roofs if bit else free) for bit in (k & 1, k & 2)]
@@ -126,7 +126,7 @@ def test_ends_on_the_ground_are_where_all_below_is_free(town, tmp_path):
 
 def test_snapping_to_the_ground_takes_the_nearest_cell_that_is_free_below(town):
     on = ju.cost_map(town, ALTITUDE_M)
-    free = np.argwhere(on.free_to_ground(0))
+    free = np.argwhere(on.free_space.to_ground(0))
     roof = np.argwhere(is_roof(town))[7]
     ends = ends_at(town, roof, free[-10])
     with pytest.raises(ju.InputError, match="start is over a roof, or what else closes the way up"):
@@ -149,7 +149,7 @@ def test_snapping_to_the_ground_takes_the_nearest_cell_that_is_free_below(town):
 
 def test_a_flight_from_a_roof_has_its_heights_from_there(town, city, tmp_path):
     on = ju.cost_map(town, ALTITUDE_M)
-    roof, goal = np.argwhere(is_roof(town))[7], np.argwhere(on.free_to_ground(0))[-10]
+    roof, goal = np.argwhere(is_roof(town))[7], np.argwhere(on.free_space.to_ground(0))[-10]
     path, file = on.plan(**ends_at(town, roof, goal)), tmp_path / "x.plan"
     path.save(file, from_roof=True)
     roof_m = float(town.m("roof")[tuple(roof)])
@@ -186,7 +186,7 @@ def test_a_flight_from_a_roof_has_its_heights_from_there(town, city, tmp_path):
 
 
 def test_a_mission_says_how_it_was_checked(town, tmp_path):
-    cells = np.argwhere(ju.cost_map(town, ALTITUDE_M).free_to_ground(0))[[10, -10]]
+    cells = np.argwhere(ju.cost_map(town, ALTITUDE_M).free_space.to_ground(0))[[10, -10]]
     path = ju.plan(town, **ends_at(town, *cells), altitude_m=ALTITUDE_M)
     for route, words in (
         (path, "Checked by cells of 10 m"),
@@ -260,7 +260,7 @@ def test_the_remedy_of_a_refused_mission_works_and_is_of_the_end_at_fault(town, 
 
 def test_what_is_of_unknown_height_is_not_taken_off_through(town, tmp_path):
     on = ju.cost_map(town, 600.0)
-    cells = np.argwhere(on.free_to_ground(0))[[10, -10]]
+    cells = np.argwhere(on.free_space.to_ground(0))[[10, -10]]
     unknown = np.zeros(town.grid.shape, np.float32)
     unknown[tuple(cells[0])] = 100.0
     names = ("roof_limit", "roof_guessed")

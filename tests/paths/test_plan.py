@@ -115,7 +115,7 @@ def test_a_refined_path_leaves_the_grid_and_is_never_costlier(planned):
 def test_routes_at_any_angle_of_one_query_have_one_bound(town, town_ends):
     on = ju.cost_map(town, 20.0)
     planned = [on.plan(**town_ends, planner="theta-star"), on.plan(**town_ends, refine=True)]
-    cells = [end.cell for end in on.ends(*(ju.XY(*xy_m) for xy_m in town_ends.values()))]
+    cells = [end.cell for end in on.free_space.ends(*(ju.XY(*xy_m) for xy_m in town_ends.values()))]
     assert {path.search.lower_bound for path in planned} == {
         corner_bound(on.problem.between(*cells))
     }

@@ -82,7 +82,7 @@ def routes_on(maps, seed: int, num: int = 3):
     """Yield planned routes and their simplified forms, at 20 m."""
     on, rng = ju.cost_map(maps, Z_M), np.random.default_rng(seed)
     for _ in range(num):
-        start, goal = rng.choice(np.argwhere(on.free_to_ground(0)), 2)
+        start, goal = rng.choice(np.argwhere(on.free_space.to_ground(0)), 2)
         path = on.plan(*(maps.grid.lonlat_of_cell(*cell) for cell in (start, goal)))
         if path.status.has_path and path.length_m > 100:
             yield path

@@ -30,7 +30,7 @@ def maps() -> ju.MetricMaps:
 
 @pytest.fixture(scope="module")
 def pairs(maps) -> list:
-    free = np.argwhere(ju.cost_map(maps, ALTITUDE_M).islands == 1)
+    free = np.argwhere(ju.cost_map(maps, ALTITUDE_M).free_space.islands == 1)
     return [
         [maps.grid.lonlat_of_cell(*free[at]) for at in ends]
         for ends in ((0, -1), (15, -40), (len(free) // 2, 3))
@@ -143,7 +143,7 @@ def test_no_departure_is_one_at_which_a_route_has_no_path(maps, pairs):
         0  # a wall at the hour that is the best one without it
     )
     walled = ju.MetricMaps(maps.ds.assign(num_visible=num_visible))
-    islands = ju.cost_map(maps, ALTITUDE_M).islands
+    islands = ju.cost_map(maps, ALTITUDE_M).free_space.islands
     closed_in, beside = (
         np.argwhere(islands == 2)[0],
         np.argwhere(islands[:, : maps.grid.num_cols // 2] == 1),

@@ -16,7 +16,7 @@ from jaxurban.io.tables import Row
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.places import XY, End
 from jaxurban.paths.rows import RouteJob, Run
-from jaxurban.paths.snapping import apart_note, snap_note
+from jaxurban.paths.snapping import snap_note
 from jaxurban.planners.astar import astar
 from jaxurban.studies.demonstrations import overlap_of
 from jaxurban.studies.montecarlo.sampling import KEY
@@ -75,7 +75,7 @@ class WeightsJob(RouteJob):
         varied = varied_columns(query.names, weights, settings.vary)
         path = astar(query.problem(weights))
         if not path.status.has_path:
-            note = f"{path.status.sentence} {apart_note(cost_map, *ends)}".strip()
+            note = f"{path.status.sentence} {cost_map.free_space.apart_note(*ends)}".strip()
             return [{"status": path.status.value, "note": note}]
         features, integrals = query.sums(path.points_m)
         cost = float(weights @ features)
@@ -165,7 +165,7 @@ def query_of(
       InputError: a place that is not free, or both in one cell.
     """
     places = [XY(instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal")]
-    ends = cost_map.ends(*places, snap=snap)
+    ends = cost_map.free_space.ends(*places, snap=snap)
     start, goal = (end.cell for end in ends)
     query = query_between(cost_map, start, goal, str(instance["instance"]))
     weights = np.array([float(instance[f"w_{name}"]) for name in query.names])
