@@ -55,7 +55,6 @@ MADE = (  # what functions return; XY is looked at where it is used
 )
 METHODS = {  # of what they return
     "MetricMaps": (
-        "check_altitude",
         "m",
         "is_free",
         "with_obstacles",

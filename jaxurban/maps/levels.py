@@ -96,7 +96,23 @@ class Levels:
 
 
 def around(altitude_m: float, altitudes_m: Sequence[float]) -> list[float]:
-    """Return the altitudes of maps about another one; arguments and errors as of `MetricMaps.around`."""
+    """Return an altitude if maps hold it, else those next below and next above it that they hold.
+
+    Args:
+      altitude_m: above ground.
+      altitudes_m: of the maps.
+
+    Returns:
+      The altitudes, ascending, metres above ground.
+
+    Raises:
+      InputError: it is no number, or lies outside the range of the maps.
+
+    Examples:
+      >>> from jaxurban.maps.levels import around
+      >>> around(60.0, maps.altitudes_m), around(40.0, maps.altitudes_m)
+      ([60.0], [20.0, 60.0])
+    """
     altitude_m = finite("altitude_m", altitude_m)
     low_m, high_m = min(altitudes_m), max(altitudes_m)
     if not low_m <= altitude_m <= high_m:

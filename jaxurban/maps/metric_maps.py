@@ -251,36 +251,6 @@ class MetricMaps(FactsRepr):
         return held_metrics(self.ds)
 
     @typed
-    def check_altitude(self, altitude_m: float) -> None:
-        """Raise InputError unless these maps hold an altitude.
-
-        Examples:
-          >>> maps.check_altitude(60.0)
-          >>> try:
-          ...     maps.check_altitude(40.0)
-          ... except ju.InputError as error:
-          ...     print(error)
-          there are no maps for altitude 40.0: these maps hold 20.0, 60.0
-        """
-        index_of("altitude", altitude_m, self.altitudes_m)
-
-    @typed
-    def around(self, altitude_m: float) -> list[float]:
-        """Return an altitude if these maps hold it, else those next below and next above it that they hold.
-
-        Returns:
-          The altitudes, ascending, metres above ground.
-
-        Raises:
-          InputError: it is no number, or lies outside the range of these maps.
-
-        Examples:
-          >>> maps.around(60.0), maps.around(40.0)
-          ([60.0], [20.0, 60.0])
-        """
-        return around(altitude_m, self.altitudes_m)
-
-    @typed
     def m(
         self,
         name: str,
@@ -386,7 +356,7 @@ class MetricMaps(FactsRepr):
         for name in self.metrics:
             if "layer" not in self.ds[self.variable(name)].attrs:
                 continue
-            for z_m in self.around(nearest_m):
+            for z_m in around(nearest_m, self.altitudes_m):
                 is_free = is_free & ~np.isnan(self.m(name, z_m))
         return is_free
 

@@ -14,6 +14,7 @@ from jaxurban.checks import nearest_name, typed
 from jaxurban.errors import IgnoredZoneWarning, InputError, warn
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
+from jaxurban.maps.levels import around
 from jaxurban.paths.clearance import (
     closed_by_clearance,
     closing_step_m,
@@ -137,7 +138,7 @@ class Bound:
                 f"one of {', '.join(names)}, or make maps that hold it"
             )
         is_kept = maps.ds["has_data"].values.copy()
-        for z_m in maps.around(altitude_m):
+        for z_m in around(altitude_m, maps.altitudes_m):
             values = maps.m(self.variable, z_m, time=time, time_of_day=time_of_day)
             # A Python float compares in the map's own float32, so that gps>=0.7 holds where the map says 0.7.
             holds = OPERATORS[self.comparison](values, self.value)

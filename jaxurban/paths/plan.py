@@ -10,7 +10,7 @@ import numpy as np
 from jaxurban.checks import finite, typed
 from jaxurban.errors import InputError
 from jaxurban.maps.free_memory import free_bytes
-from jaxurban.maps.levels import Levels, values_at
+from jaxurban.maps.levels import Levels, around, values_at
 from jaxurban.maps.memory import distinct_texts
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.weights import WeightsLike, weights_on
@@ -132,7 +132,7 @@ def cost_map(
         volume.free_space.check_any()
         return volume
     altitudes_m = np.array([finite("altitude_m", altitude_m, "metres, or Levels")])
-    maps.around(altitudes_m[0])
+    around(altitudes_m[0], maps.altitudes_m)
     return map_at(maps, altitudes_m, None, **rules)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import shapely
 
 from jaxurban.io.read.outlines import meets
+from jaxurban.world.footprints import Footprints
 from jaxurban.world.grid import Grid
 
 # Below all real ground: what stands where the terrain is unknown shadows nothing.
@@ -86,6 +87,21 @@ def burn(
     if has_touched:
         np.maximum(centre, touched, out=touched)
     return centre, touched
+
+
+def burn_heights(
+    buildings: Footprints, grid: Grid, has_touched: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return roofs by centres and by touch (see `burn`), ``[Y, X]`` float32 metres each, 0 without a building."""
+    return burn(
+        buildings.polygons,
+        buildings.height_m,
+        grid,
+        0.0,
+        "float32",
+        boxes_m=buildings.boxes_m,
+        has_touched=has_touched,
+    )
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import shapely
 from rasterio.fill import fillnodata
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.burn import UNKNOWN_GROUND_M, burn
+from jaxurban.io.read.burn import UNKNOWN_GROUND_M, burn_heights
 from jaxurban.io.read.kinds import WOOD
 from jaxurban.io.read.raster import (
     GROUND_M,
@@ -253,15 +253,7 @@ def terrain_guesses(
     has_data = np.isfinite(terrain_m)
     terrain_m[~has_data] = UNKNOWN_GROUND_M
     if isinstance(stands, Footprints):
-        roof_m, _ = burn(
-            stands.polygons,
-            stands.height_m,
-            grid,
-            0.0,
-            "float32",
-            boxes_m=stands.boxes_m,
-            has_touched=False,
-        )
+        roof_m, _ = burn_heights(stands, grid, has_touched=False)
     else:
         assert stands is not None
         roof_m = resample_raster(stands, grid)

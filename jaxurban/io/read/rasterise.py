@@ -11,7 +11,7 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.io.city import WOOD, City, Counted
 from jaxurban.io.read import kinds
-from jaxurban.io.read.burn import UNKNOWN_GROUND_M, burn
+from jaxurban.io.read.burn import UNKNOWN_GROUND_M, burn, burn_heights
 from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.kernels.blocks import part_of, rounded_up
@@ -98,8 +98,8 @@ def rasterise(
         *roofs_m, guessed, kind = _burn_roofs(standing, grid, has_guessed, has_kinds)
         if has_guessed:
             unsure = standing.take(standing.is_guessed)
-            _, limit_m = _burn_heights(replace(unsure, height_m=unsure.upper_m), grid)
-            _, likely_m = _burn_heights(replace(unsure, height_m=unsure.likely_upper_m), grid)
+            _, limit_m = burn_heights(replace(unsure, height_m=unsure.upper_m), grid)
+            _, likely_m = burn_heights(replace(unsure, height_m=unsure.likely_upper_m), grid)
     else:
         assert city.roofs is not None
         roofs_m = _resampled(city.roofs, grid)
@@ -180,7 +180,7 @@ def _roofs_of(city: City, counted: Counted, grid: Grid, all_touched: bool) -> np
         roof_m = np.fmax(_resampled(city.roofs, grid)[all_touched], np.float32(0))
     else:
         on_ground = (counted.outlines.min_height_m == 0) | (city.hanging != SLABS)
-        roof_m = _burn_heights(counted.outlines.take(on_ground), grid, all_touched)[all_touched]
+        roof_m = burn_heights(counted.outlines.take(on_ground), grid, all_touched)[all_touched]
     if counted.plants is None:
         return roof_m
     return np.fmax(roof_m, _resampled(counted.plants, grid)[all_touched])
@@ -191,31 +191,16 @@ def _resampled(heights: Raster, grid: Grid) -> list[np.ndarray]:
     return [resample_raster(heights, grid), resample_raster(heights, grid, "max")]
 
 
-def _burn_heights(
-    buildings: Footprints, grid: Grid, has_touched: bool = True
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return roofs by centres and by touch (see `burn`), ``[Y, X]`` float32 metres each, 0 without a building."""
-    return burn(
-        buildings.polygons,
-        buildings.height_m,
-        grid,
-        0.0,
-        "float32",
-        boxes_m=buildings.boxes_m,
-        has_touched=has_touched,
-    )
-
-
 def _burn_roofs(
     buildings: Footprints, grid: Grid, has_guessed: bool, has_kinds: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Return roofs by centres and by touch as `_burn_heights`, and what is known of them.
+    """Return roofs by centres and by touch as `burn_heights`, and what is known of them.
 
     This is where the height of either roof is guessed, ``[Y, X]`` bool, None without ``has_guessed``, and the code of
     what touches a cell, ``[Y, X]``, 0 for nothing, None without ``has_kinds``.
     """
     if not (has_guessed or has_kinds):
-        return *_burn_heights(buildings, grid), None, None
+        return *burn_heights(buildings, grid), None, None
     by_height, centre, touched = _burn_ranks(buildings, grid)
     # By rank; without a building the rank is -1, the last entry.
     roofs_m = np.append(buildings.height_m[by_height], 0.0).astype(np.float32)

@@ -14,6 +14,7 @@ from jaxurban.checks import at_least, one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.burn import burn
 from jaxurban.io.tables import read_table
+from jaxurban.maps.levels import index_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import METRIC_WEIGHT, MOST_WEIGHT, Weights, weights_on
@@ -139,7 +140,7 @@ def sample_instances(
             f"weights must be {DIRICHLET!r} or a list of at least one Weights, got {weights!r}"
         )
     for altitude_m in altitudes_m:
-        maps.check_altitude(altitude_m)
+        index_of("altitude", altitude_m, maps.altitudes_m)
 
     # A row per pair of places. Its generator draws place, times and weights in this order, so that no option changes
     # what the others draw.
