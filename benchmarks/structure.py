@@ -2,8 +2,8 @@
 
 Code lines are lines without blanks, comments and docstrings, links counted once; tokens are Python's own, without
 these. Arrows upward are imports from one layer of the checkout's ``pyproject.toml`` to one above it, excepted ones
-too; circles are modules that import each other, directly or not. With ``-v`` these and the long and the wide functions
-are listed.
+too; circles are modules that import each other, directly or not, in functions and for types too. With ``-v`` these and
+the long and the wide functions are listed.
 """
 
 import argparse
@@ -90,6 +90,13 @@ def num_arguments(function: Function) -> int:
     return len(names) - is_bound + len(given.kwonlyargs) + bool(given.vararg) + bool(given.kwarg)
 
 
+def num_lazy_imports(text: str) -> int:
+    """Return how many imports stand inside functions."""
+    functions = [node for node in ast.walk(ast.parse(text)) if isinstance(node, Function)]
+    inside = {node for function in functions for node in ast.walk(function)}
+    return sum(isinstance(node, ast.Import | ast.ImportFrom) for node in inside)
+
+
 class ImportGraph(NamedTuple):
     """Imports of a checkout: those upward, as ``IMPORTER -> IMPORTED``, and the circles of modules."""
 
@@ -143,7 +150,7 @@ def measure(checkout: Path, details: list[str]) -> Table:
     """Return the table of one checkout; what is behind the counts goes to ``details``."""
     lines: Counter[str] = Counter()
     lengths: dict[str, int] = {}
-    num_tokens = 0
+    num_tokens = num_lazy = 0
     long: list[str] = []
     wide: list[str] = []
     for file in files_of(checkout, SOURCES, ".py"):
@@ -152,6 +159,7 @@ def measure(checkout: Path, details: list[str]) -> Table:
         is_inside = path.parts[0] == "jaxurban" and len(path.parts) > 2
         lines["/".join(path.parts[:2]) if is_inside else path.parts[0]] += len(code)
         num_tokens += tokens
+        num_lazy += num_lazy_imports(text)
         lengths[str(path)] = text.count("\n")
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, Function):
@@ -188,6 +196,7 @@ def measure(checkout: Path, details: list[str]) -> Table:
         "arrows upward between layers": f"{len(graph.upward)}",
         "files in circles of imports": ", ".join(str(len(circle)) for circle in graph.circles)
         or "0",
+        "imports inside functions": f"{num_lazy}",
         **{
             f"longest file, {rank}": f"{path} {lengths[path]}"
             for rank, path in enumerate(longest, start=1)

@@ -15,10 +15,19 @@ from benchmarks.against_commit import compare, interval
 from benchmarks.common import ROOT, Row, Timing, in_turn, markdown
 from benchmarks.embree_peer import Caster, scan_until_first_return, see_satellites
 from benchmarks.random_routes import Outlines, legs_m, prices, tables
-from benchmarks.structure import code_lines_and_tokens, import_graph, num_arguments
+from benchmarks.structure import (
+    SOURCES,
+    code_lines_and_tokens,
+    files_of,
+    import_graph,
+    num_arguments,
+    num_lazy_imports,
+)
 from jaxurban.metrics.lidar import Lidar
 from tests.embree_scene import roof_triangles, wall_triangles
 from tests.made_maps import city_of_boxes
+
+MOST_LAZY = 191  # imports inside functions
 
 
 @pytest.fixture
@@ -301,5 +310,17 @@ def test_an_excepted_import_is_an_arrow_upward_and_modules_that_import_each_othe
     assert graph.circles == [["jaxurban.beside", "jaxurban.high", "jaxurban.low"]]
 
 
-def test_no_import_of_jaxurban_goes_upward():
-    assert import_graph(ROOT).upward == []
+def test_no_import_of_jaxurban_goes_upward_nor_a_circle_beyond_two_files():
+    graph = import_graph(ROOT)
+    assert graph.upward == []
+    assert [circle for circle in graph.circles if len(circle) > 2] == []
+
+
+def test_imports_inside_functions_are_counted_once_each():
+    inner = "def f():\n    import a\n    def g():\n        from b import c, d\n"
+    assert num_lazy_imports(f"import e\nif True:\n    import h\n{inner}") == 2
+
+
+def test_imports_inside_functions_grow_no_more():
+    files = files_of(ROOT, SOURCES, ".py")
+    assert sum(num_lazy_imports(file.read_text(encoding="utf-8")) for file in files) <= MOST_LAZY
