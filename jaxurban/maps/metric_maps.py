@@ -31,36 +31,29 @@ OF_ROUTES = ("weights", "planning", "vehicle")  # sections of a scenario that it
 
 
 def _placed(ds: xr.Dataset) -> xr.Dataset:
-    """Return maps whose attributes ``first_row`` and ``first_col`` are those of their own southwest cell.
+    """Return maps whose attributes ``first_row`` and ``first_col`` are those of their own southwest cell (see `Grid`).
 
     Maps that were cut out of larger ones have the attributes of these, so the coordinates y and x decide; maps without
     these coordinates are returned unchanged.
 
     Raises:
-      InputError: cells that are not side by side.
+      InputError: cells that are not side by side, in ascending order.
     """
     if not {"y", "x"} <= {*ds.coords}:
         return ds
-    first = {"first_row": _first_cell(ds, "y"), "first_col": _first_cell(ds, "x")}
+    side_m = float(ds.attrs["resolution_m"])
+    first = {}
+    for name, axis in (("first_row", "y"), ("first_col", "x")):
+        numbers = ds[axis].values / side_m - 0.5  # coordinates are those of the cells' centres
+        first[name] = int(np.round(numbers[0]))
+        off = np.abs(numbers - first[name] - np.arange(len(numbers)))
+        if off.max() > 0.01:  # of a cell, for rounding
+            raise InputError(
+                f"the maps' {axis} must run cell by cell in steps of {side_m:g} m: cut maps by slices without a step"
+            )
     if all(ds.attrs[name] == number for name, number in first.items()):
         return ds
     return ds.assign_attrs(first)
-
-
-def _first_cell(ds: xr.Dataset, axis: str) -> int:
-    """Return the global number (see `Grid`) of the first cell along ``"y"`` or ``"x"``.
-
-    Raises:
-      InputError: cells that are not side by side, in ascending order.
-    """
-    side_m = float(ds.attrs["resolution_m"])
-    numbers = ds[axis].values / side_m - 0.5  # coordinates are those of the cells' centres
-    first = int(np.round(numbers[0]))
-    if np.abs(numbers - first - np.arange(len(numbers))).max() > 0.01:  # of a cell, for rounding
-        raise InputError(
-            f"the maps' {axis} must run cell by cell in steps of {side_m:g} m: cut maps by slices without a step"
-        )
-    return first
 
 
 @typed

@@ -326,19 +326,6 @@ class CostMap(FactsRepr):
         )
         return prepared
 
-    def cost_of(self, name: str) -> float:
-        """Return the largest cost of a metric over free cells, not weighted.
-
-        Returns:
-          A number in [0, 1]; 0 where the metric costs nothing anywhere, or no cell is free.
-
-        Examples:
-          >>> cost_map = ju.cost_map(maps, 60.0)
-          >>> {name: round(cost_map.cost_of(name), 1) for name in cost_map.names}
-          {'gps': 0.6, 'lidar': 1.0, 'population': 1.0, 'risk': 0.6}
-        """
-        return float(self.costs[self.names.index(name)][self.is_free].max(initial=0.0))
-
     @property
     def leg_margin_m(self) -> float:
         """What straight legs keep from closed cells, for the clearance."""

@@ -238,8 +238,11 @@ def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str
     """
     if queries[0].cost_map.cost_model.kind != "cell":
         return set(constant)
-    costs = [cost_map.cost_of for cost_map in maps_of(queries)]
-    return {name for name in constant if not np.any([cost_of(name) for cost_of in costs])}
+    costing = set()
+    for cost_map in maps_of(queries):
+        is_costing = cost_map.costs[:, cost_map.is_free].any(axis=1)
+        costing.update(np.array(cost_map.names)[is_costing].tolist())
+    return set(constant) - costing
 
 
 def _wide_weights(table: pd.DataFrame) -> list[Verdict]:
