@@ -14,6 +14,7 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.places import MAX_SNAP_M, XY, End, Point, cell_at, snap_limit_m
 from jaxurban.planners.base import Cell, islands_of
 from jaxurban.settings import OnGround
+from jaxurban.world.grid import Grid
 
 # What an end is that is free at the altitude of flight, and not down to the ground.
 OVER_ROOF = "over a roof, or what else closes the way up from the ground"
@@ -48,6 +49,11 @@ class FreeSpace:
     def is_plane(self) -> bool:
         """Whether there is one altitude, and not levels of a volume."""
         return self.is_free.ndim == 2
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The grid of the maps."""
+        return self.maps.grid
 
     @property
     def levels_free(self) -> np.ndarray:
@@ -154,7 +160,7 @@ class FreeSpace:
             free cell farther away than it allows (names the constraint and the nearest free cell).
         """
         # The cell of the place itself.
-        grid = self.maps.grid
+        grid = self.grid
         xy_m, cell = cell_at(grid, name, place)
         level = self._level_of(name, place, cell)
         limit_m = snap_limit_m(snap)
@@ -266,7 +272,7 @@ class FreeSpace:
 
     def apart_note(self, start: End, goal: End) -> str:
         """Return sentences on what closes the way between two ends, and what would open it; ``""`` if joined."""
-        grid, islands = self.maps.grid, self.islands
+        grid, islands = self.grid, self.islands
         if islands[start.cell] == islands[goal.cell]:
             return ""
         cells = {"start": start.cell, "goal": goal.cell}
