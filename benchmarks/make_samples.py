@@ -20,7 +20,7 @@ from sgp4.exporter import export_tle
 from skyfield.api import load
 
 from jaxurban.io.geoparquet import write_geoparquet
-from jaxurban.io.read.base_map import read_base_map, write_base_map
+from jaxurban.io.read.base_map import read_base_map
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.land_cover import projected
 from jaxurban.io.read.nominal import GPS, MARK, Constellation, nominal_satellites
@@ -134,7 +134,8 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     )
     crs = utm_of(box)
     box_m = box_of(box, crs)
-    write_base_map(home / BASE_MAP_FILE, read_base_map(osm, crs, box_m))
+    base_map = read_base_map(osm, crs, box_m)
+    write_geoparquet(home / BASE_MAP_FILE, base_map, base_map.attrs)
     blocks, _ = read_blocks(census, crs, box_m)
     counts = {"GEOID10": blocks.block_id, "POP10": blocks.night_count.astype(np.int64)}
     frame = gpd.GeoDataFrame(counts, geometry=blocks.polygons, crs=crs).to_crs(WGS84)

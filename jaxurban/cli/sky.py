@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import jaxurban
+from jaxurban import wings
 from jaxurban.cli.common import (
     FILES,
     FOLDER,
@@ -141,7 +142,6 @@ def _way_along(
       InputError: a file that cannot be read.
       UsageError: a time or a speed that such a file does not take, or that is missing.
     """
-    from jaxurban.io.read.mission import read_flight
     from jaxurban.io.read.routes import read_routes
     from jaxurban.io.read.tracks import read_track
     from jaxurban.io.tables import SUFFIXES
@@ -152,7 +152,7 @@ def _way_along(
         places = read_track(track) if logged is None else logged
         return {"places": places, "altitude_m": altitude_m}
     if speed_m_s is None and not times:
-        return {"places": read_flight(track), "altitude_m": altitude_m}
+        return {"places": wings.read_flight(track), "altitude_m": altitude_m}
     if speed_m_s is None or len(times) > 1:
         raise click.UsageError("a route needs --speed, and one --time, of departure")
     route = read_routes(track)[0]

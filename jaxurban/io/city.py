@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import shapely
 
-from jaxurban import settings
+from jaxurban import settings, wings
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts
@@ -273,9 +273,6 @@ class City(FactsRepr):
           >>> around.crs, around.facts["buildings"]
           ('EPSG:32654', '3,052, and 50,419 around')
         """
-        # Imported here: a city that is read from no file needs none of the readers' libraries.
-        from jaxurban.io.read.city import read_city
-
         if not isinstance(buildings, settings.Buildings):
             buildings = settings.Buildings(buildings)
         if not isinstance(terrain, settings.Terrain):
@@ -283,7 +280,7 @@ class City(FactsRepr):
         if not isinstance(vegetation, settings.Vegetation):
             vegetation = settings.Vegetation(vegetation)
         given: Any = kinds  # `Obstacles` makes a tuple of them
-        return read_city(
+        return wings.read_city(
             buildings,
             bounds=bounds,
             crs=crs,

@@ -109,6 +109,11 @@ def records_of(table: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(name): value for name, value in row.items()} for row in rows]
 
 
+def is_blank(value: Any) -> bool:
+    """Return whether a value says nothing: None, NaN or blank text."""
+    return not value.strip() if isinstance(value, str) else value is None or value != value
+
+
 def number_or_none(value: float | None) -> float | None:
     """Return a number as JSON takes it: None for one that is missing or not finite."""
     return None if value is None or not math.isfinite(value) else float(value)

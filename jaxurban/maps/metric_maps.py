@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from jaxurban import wings
 from jaxurban.checks import finite, typed
 from jaxurban.errors import InputError
 from jaxurban.knowledge import Caution, Guesses, caution_of_guesses, guesses_from
@@ -179,16 +180,13 @@ class MetricMaps(FactsRepr):
         lines; ``place``, points) and ``name``, empty without one. ``attrs`` hold ``credit`` and ``licence``. They are
         read when they are first looked at.
         """
-        # Imported here: it brings the readers.
-        from jaxurban.io.read.base_map import base_map_source, read_base_map
-
         try:
-            source = base_map_source(self.base)
+            source = wings.base_map_source(self.base)
             if source is None:
                 return None
             # A coast with a gap matters little to the ground of a picture.
             with warnings.catch_warnings(action="ignore", category=UserWarning):
-                frame = read_base_map(source, self.grid.crs, self.grid.bounds_m)
+                frame = wings.read_base_map(source, self.grid.crs, self.grid.bounds_m)
         except Exception as error:  # whatever a damaged file raises: maps are whole without it
             LOG.warning(f"no streets and names below the maps: {error}")
             return None

@@ -12,6 +12,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from jaxurban import wings
 from jaxurban.checks import values_given
 from jaxurban.errors import InputError
 from jaxurban.io import store, stored
@@ -64,9 +65,7 @@ def load_city(scenario: Scenario) -> City:
     """
     region = scenario.region
     if scenario.is_synthetic:
-        from jaxurban.samples.synthetic import demo_city_for_bounds
-
-        return demo_city_for_bounds(region.bounds, region.crs)
+        return wings.demo_city_for_bounds(region.bounds, region.crs)
 
     def placed(section: Any, *names: str) -> Any:
         """Return a section of settings in which the named settings, all files, are paths from the current folder."""
@@ -156,7 +155,7 @@ def run_scenario(
       InputError: bad settings or sources, too little memory or disk, a layer that the maps would not hold, or a folder
         that holds another job's maps.
     """
-    from jaxurban.io.read.base_map import base_map_source, save_base_map
+    from jaxurban.maps.saving import save_base_map  # imported here: it brings GeoPandas
 
     started_utc = datetime.now(UTC).isoformat(timespec="seconds")
     with reporting("maps", progress) as report, warnings.catch_warnings(record=True) as caught:
@@ -172,7 +171,7 @@ def run_scenario(
         # The city and the sky, and what the maps guess of them.
         tasks = tasks_of(scenario, watch.stage)
         city = tasks[0].city
-        base = base_map_source(city.sources.get("buildings"))
+        base = wings.base_map_source(city.sources.get("buildings"))
         base_file = folder / BASE_MAP_FILE
         planned = _files_of(tasks, folder, layers)
         if base is not None:

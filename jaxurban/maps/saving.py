@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError, warn
 from jaxurban.io.files import sweep_scraps
+from jaxurban.io.geoparquet import write_geoparquet
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, missing_geotiffs, write_geotiffs
 from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.io.store import OPENED, open_zarr, write_zarr
@@ -15,11 +17,12 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.variables import NEEDED
 from jaxurban.settings import ObstacleRule
 
+if TYPE_CHECKING:
+    import geopandas as gpd
+
 
 def save_maps(maps: MetricMaps, folder: Path, layers: Sequence[str]) -> None:
     """Write maps under a folder; arguments and errors as of `MetricMaps.save`."""
-    from jaxurban.io.read.base_map import save_base_map  # imported here: it brings OSM's readers
-
     # All errors of the arguments are raised before anything is written, also the one of a layer that the maps lack.
     _check_can_be_opened(maps)
     geotiffs = geotiff_paths(maps.ds, folder, layers)
@@ -48,6 +51,14 @@ def save_maps(maps: MetricMaps, folder: Path, layers: Sequence[str]) -> None:
         sweep_scraps(folder / GEOTIFF_FOLDER)  # of GDAL, from a run that was killed
         if not are_of_a_run(folder):
             workspace.remove([RUN_FILE])
+
+
+def save_base_map(frame: "gpd.GeoDataFrame | None", workspace: Workspace) -> None:
+    """Write a base map into a folder of maps; without one, remove what this command wrote there before."""
+    if frame is None:
+        workspace.remove([BASE_MAP_FILE])
+    else:
+        write_geoparquet(workspace.folder / BASE_MAP_FILE, frame, frame.attrs)
 
 
 def _check_can_be_opened(maps: MetricMaps) -> None:

@@ -23,6 +23,7 @@ from pydantic import (
     model_validator,
 )
 
+from jaxurban import wings
 from jaxurban.checks import at_least, check_size, nearest_name, positive, typed, values_given
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.samples import filled, is_sample, located
@@ -479,10 +480,8 @@ def _with_bounds(
         case {"region": {"bounds": _}}:
             pass
         case {"region": {**region}, "buildings": {"source": str(source)}} if source != SYNTHETIC:
-            from jaxurban.io.read.city import lonlat_extent  # imported here: it brings the readers
-
             path = located(source) if is_sample(source) else folder / source
-            extent = lonlat_extent(path, settings["buildings"].get("crs"))
+            extent = wings.lonlat_extent(path, settings["buildings"].get("crs"))
             return {**settings, "region": {**region, "bounds": extent}}, extent
     return settings, None
 
@@ -497,16 +496,14 @@ def _check_extent(scenario: Scenario, extent: Bounds) -> None:
     Raises:
       InputError: such a region has more than `MOST_EMPTY_CELLS`.
     """
-    from jaxurban.io.read.city import covers_too_much, proposed_bounds, size_m
-
     region, file = scenario.region, scenario.buildings
     located_file = replace(file, source=scenario.path_of(file.source))
-    main = proposed_bounds(located_file, extent, region.crs)
+    main = wings.proposed_bounds(located_file, extent, region.crs)
     if main is None:
         return
-    sentence = covers_too_much(file.source, extent, main)
+    sentence = wings.covers_too_much(file.source, extent, main)
     side_m = min(region.resolution_m)
-    num_cells = math.prod(size_m(region.bounds)) / side_m**2
+    num_cells = math.prod(wings.size_m(region.bounds)) / side_m**2
     if num_cells > MOST_EMPTY_CELLS:
         bounds = [round(value, 6) for value in region.bounds]
         raise InputError(

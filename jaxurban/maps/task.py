@@ -15,7 +15,6 @@ from xarray.indexes import PandasIndex
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import City, joined_credits, seen_by
-from jaxurban.io.read.guesses import guessed_share
 from jaxurban.io.read.rasterise import (
     build_surface,
     check_has_data,
@@ -203,7 +202,7 @@ class MapTask:
         standing, plants = self.city.counted
         if plants is not None and unknown_plants_m(self.city, self.region).any():
             return True
-        return standing is not None and guessed_share(standing, self.region.bounds_m) > 0
+        return standing is not None and standing.guessed_share(self.region.bounds_m) > 0
 
     @cached_property
     def has_kinds(self) -> bool:

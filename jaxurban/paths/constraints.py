@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxurban import wings
 from jaxurban.checks import nearest_name, typed
 from jaxurban.errors import IgnoredZoneWarning, InputError, warn
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
@@ -256,9 +257,7 @@ class Constraints:
         """
         zones: list[Zone] = []
         for file in as_tuple(no_fly):
-            from jaxurban.io.read.airspace import read_zones  # here: it brings pandas
-
-            zones.extend(read_zones(file))
+            zones.extend(wings.read_zones(file))
         texts = [str(text).strip() for text in as_tuple(require)]
         bounds = [Bound.parse(text) for text in texts if text != GPS_FLOOR]
         kept = clearance_m, vertical_clearance_m, vehicle, unknown_heights, GPS_FLOOR in texts

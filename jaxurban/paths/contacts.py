@@ -15,8 +15,8 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.rules import roof_limits_m
 from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.paths.elevation import Elevation
-from jaxurban.paths.legs import DOT_M, Steps
 from jaxurban.paths.route_report import TOUCHED
+from jaxurban.paths.steps import DOT_M, Steps
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import Grid

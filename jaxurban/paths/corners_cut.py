@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxurban.io.read.mission_parts import Leg, Place
-from jaxurban.paths.legs import Flight, Steps, between
+from jaxurban.paths.legs import Flight
+from jaxurban.paths.steps import Steps, between
 
 MOST_CUT_M = 10.0  # before and after a slight corner, if the vehicle does not turn farther from it
 # Shares of what is cut: chords so far from the corner stand for the area within.

@@ -17,7 +17,6 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.closed import constraints_of
 from jaxurban.paths.constraints import GPS_FLOOR, Constraints
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.legs import Steps
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import map_at
 from jaxurban.paths.profile import (
@@ -39,6 +38,7 @@ from jaxurban.paths.route_report import (
     OverflownDensity,
     RouteReport,
 )
+from jaxurban.paths.steps import Steps
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import Vehicle
 

@@ -18,10 +18,11 @@ from jaxurban.paths.clearance import reaches_m
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.finish import measured
-from jaxurban.paths.legs import Flight, Steps
+from jaxurban.paths.legs import Flight
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.profile import clearances_on, people_below, values_on
 from jaxurban.paths.route_report import CLEARANCE, OVER_ROOF
+from jaxurban.paths.steps import Steps
 
 WINDOW_M = 1000.0  # of the densest stretch
 FEW = 16  # of so many steps one is in a first look

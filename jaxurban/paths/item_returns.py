@@ -10,7 +10,8 @@ from jaxurban.paths.autopilots import low_returns, parameter_texts, typed_m
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.contacts import Prisms
 from jaxurban.paths.elevation import Elevation
-from jaxurban.paths.legs import NOWHERE_M, Flight, Steps
+from jaxurban.paths.legs import NOWHERE_M, Flight
+from jaxurban.paths.steps import Steps
 from jaxurban.public import listed
 
 OF_STRETCH = {  # of its steps

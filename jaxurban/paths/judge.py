@@ -17,8 +17,9 @@ from jaxurban.paths.contacts import TOUCH_M, Prisms, contacts, merged
 from jaxurban.paths.corners_cut import corners_of
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.item_returns import least_clear
-from jaxurban.paths.legs import Flight, Steps, spans
+from jaxurban.paths.legs import Flight, spans
 from jaxurban.paths.profile import nearest_level_m
+from jaxurban.paths.steps import Steps
 from jaxurban.world.kinds import WIRES
 
 # So near an altitude of the maps a step is at it: files round heights up to centimetres.

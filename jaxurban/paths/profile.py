@@ -21,7 +21,6 @@ from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.paths.closed import constraints_of
 from jaxurban.paths.elevation import Elevation
-from jaxurban.paths.legs import Steps, steps_of
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import (
@@ -34,6 +33,7 @@ from jaxurban.paths.route_report import (
     TOUCHED,
     VISIBLE,
 )
+from jaxurban.paths.steps import Steps, steps_of
 from jaxurban.planners.cost import path_states
 from jaxurban.settings import Vehicle
 from jaxurban.world.footprints import BUILDING

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from jaxurban import wings
 from jaxurban.checks import finite, nearest_name, typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import SUFFIXES, Row, write_table
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights, WeightsLike
-from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, Point
 from jaxurban.planners.base import Path, Status
@@ -273,12 +273,12 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
         file = FilePath(file)
         if file.suffix.lower() in SUFFIXES:
             return write_table(self.to_dataframe(), file)
-        if file.suffix.lower() not in FORMATS:
-            known = ", ".join(dict.fromkeys((*SUFFIXES, *FORMATS)))
+        if file.suffix.lower() not in wings.FORMATS:
+            known = ", ".join(dict.fromkeys((*SUFFIXES, *wings.FORMATS)))
             raise InputError(
                 f"cannot determine the format of {str(file)!r}: end its name in one of {known}"
             )
-        if not write_path(self, file, names=[f"query {k}" for k in range(len(self))]):
+        if not wings.write_path(self, file, names=[f"query {k}" for k in range(len(self))]):
             raise InputError(
                 "there is no path to save: to_dataframe gives the status of each query"
             )

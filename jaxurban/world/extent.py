@@ -1,4 +1,4 @@
-"""Boxes in degrees around polygons, and the box that most of them lie in."""
+"""Boxes around polygons, the box that most of them lie in, and the polygons of a geometry."""
 
 from collections.abc import Sequence
 
@@ -54,3 +54,23 @@ def main_bounds(polygons: np.ndarray, crs: str, extent: Sequence[float]) -> Boun
     off = (np.abs(centres - median) * [of_longitude, 1.0]).max(axis=1)
     main = rounded_outward(boxes[off <= np.quantile(off, MAIN_SHARE, method="higher")])
     return main if shapely.box(*main).area < SMALL_PART * shapely.box(*extent).area else None
+
+
+def meets(boxes: np.ndarray, box: Bounds) -> np.ndarray:
+    """Return which of the boxes ``[N, 4]`` touch a box, ``[N]`` bool; none that is NaN does."""
+    x_min, y_min, x_max, y_max = boxes.T
+    return (x_min <= box[2]) & (x_max >= box[0]) & (y_min <= box[3]) & (y_max >= box[1])
+
+
+def extent_of(boxes: np.ndarray) -> Bounds:
+    """Return the box around boxes ``[N, 4]``, NaN left out; inf and -inf without any."""
+    low = np.fmin.reduce(boxes[:, :2], initial=np.inf)
+    high = np.fmax.reduce(boxes[:, 2:], initial=-np.inf)
+    return (*low.tolist(), *high.tolist())
+
+
+def polygonal(geometry: shapely.Geometry) -> shapely.Geometry:
+    """Return the polygons of a geometry or collection, as one Polygon or MultiPolygon; empty if it has none."""
+    # Twice: a collection may hold MultiPolygons.
+    parts = shapely.get_parts(shapely.get_parts(geometry))
+    return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from jaxurban.world.grid import Bounds
 from jaxurban.world.rows import Rows
 
 
@@ -88,6 +89,11 @@ class Footprints(Rows):
     def is_guessed(self) -> np.ndarray:
         """``[B]`` bool: no height is known, and what `GUESSED_BY` names stands in."""
         return np.isin(self.origin, list(GUESSED_BY))
+
+    def guessed_share(self, bounds_m: Bounds) -> float:
+        """Return the share of the buildings in a box whose height is guessed, 0 without a building."""
+        is_guessed = self.inside(bounds_m).is_guessed
+        return float(is_guessed.mean()) if is_guessed.size else 0.0
 
     @property
     def upper_m(self) -> np.ndarray:

@@ -18,11 +18,11 @@ from jaxurban.io.read.buildings import to_buildings
 from jaxurban.io.read.burn import burn
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.osm import read_osm
-from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.rasterise import build_surface, rasterise
 from jaxurban.io.read.zone import cell_boxes, touched_cells
 from jaxurban.metrics.visibility import visibility
 from jaxurban.settings import SLABS, TO_GROUND
+from jaxurban.world.extent import polygonal
 from jaxurban.world.footprints import HeightOrigin
 from jaxurban.world.surface import PER_CELL, obstacles_on
 from tests.hanging_city import CRS, DECK, SIDE_M, X_M, Y_M, city

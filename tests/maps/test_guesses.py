@@ -13,7 +13,6 @@ import jaxurban as ju
 from jaxurban.errors import GuessWarning
 from jaxurban.io.city import City
 from jaxurban.io.read.burn import burn
-from jaxurban.io.read.guesses import guessed_share
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.guesses import leaving_shares
@@ -131,7 +130,7 @@ def test_one_guessed_roof_of_many_is_known_by_all_cells_that_it_touches(tmp_path
     bounds = transformer(UTM, WGS84).transform_bounds(*box(5, 5, 2805, 395).bounds)
     city, _ = town(tmp_path, ["30"] * 30 + [None], bounds=bounds)
     region = Grid.from_bounds(bounds, 15.0, UTM)
-    assert guessed_share(city.buildings, region.bounds_m) > 0
+    assert city.buildings.guessed_share(region.bounds_m) > 0
     surface = build_surface(city, region, region, has_guessed=True)
     guessed = box(20 + 90 * 30, 100, 60 + 90 * 30, 140).buffer(-0.01)
     touched = burn(np.array([guessed]), np.ones(1), region, 0, "int32")[1]

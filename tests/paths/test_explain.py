@@ -18,8 +18,8 @@ from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.paths.explain import with_return_altitude
-from jaxurban.paths.legs import between
 from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
+from jaxurban.paths.steps import between
 from jaxurban.planners.cost import path_states
 from jaxurban.report.figures import plot_profile, save_profile
 from jaxurban.report.figures.profile import NO_FIX_COLOUR

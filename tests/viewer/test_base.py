@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import shapely
 
-from jaxurban.io.read.base_map import write_base_map
+from jaxurban.io.geoparquet import write_geoparquet
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.viewer.html import write_page
 from jaxurban.viewer.layers import POSITION_ERROR, RANGE_ERROR_M
@@ -50,7 +50,7 @@ def with_base(tmp_path_factory):
     frame = gpd.GeoDataFrame(rows, geometry=moved, crs=GRID.crs).to_crs("EPSG:4326")
     file = tmp_path_factory.mktemp("base") / "basemap.parquet"
     frame.attrs = {"credit": "drawn by hand", "licence": "none"}
-    write_base_map(file, frame)
+    write_geoparquet(file, frame, frame.attrs)
     return replace(MAPS, base=file)
 
 

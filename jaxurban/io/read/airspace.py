@@ -25,12 +25,12 @@ import pandas as pd
 import shapely
 from pyproj import Geod
 
+from jaxurban import wings
 from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
 from jaxurban.io.read.broken import BROKEN
-from jaxurban.io.read.heights import is_blank
-from jaxurban.io.read.vector import open_layers
 from jaxurban.io.read.zone import TURN, Zone, made_valid
+from jaxurban.io.tables import is_blank
 
 # Properties that are read, in any case and with or without "_", "-", " " and ":". All are metres above ground.
 FLOOR_NAMES = (
@@ -161,7 +161,7 @@ def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
     file = path.name
     zones: list[Zone] = []
     num_others = 0
-    for frame in open_layers(path, ROLE):
+    for frame in wings.open_layers(path, ROLE):
         geometry = frame.geometry.name
         num_others += sum(
             shape is None or (shapely.get_dimensions(shapely.get_parts(shape)) != 2).any()

@@ -14,12 +14,11 @@ import shapely
 from osmium.filter import KeyFilter
 
 from jaxurban.errors import readable
-from jaxurban.io.geoparquet import read_geoparquet, write_geoparquet
-from jaxurban.io.read.land_cover import areas_and_coast, projected, runs_of, sea
+from jaxurban.io.geoparquet import read_geoparquet
+from jaxurban.io.read.land_cover import areas_and_coast, projected, read_land_cover, runs_of, sea
 from jaxurban.io.read.osm import OSM_CREDIT, is_osm, open_osm
 from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.samples import BASE_MAP_FILE, is_sample, located
-from jaxurban.io.workspace import Workspace
 from jaxurban.world.grid import WGS84, Bounds
 from jaxurban.world.land_cover import LandCover
 
@@ -75,7 +74,7 @@ def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFr
     kind and name are one feature.
 
     Args:
-      path: ``.osm.pbf``, ``.osm``, or a GeoParquet file of `write_base_map`.
+      path: ``.osm.pbf``, ``.osm``, or a GeoParquet file of one that maps wrote.
       crs: projected CRS of the box, metres.
       bounds_m: x_min, y_min, x_max, y_max of the box.
 
@@ -103,25 +102,21 @@ def read_base_map(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFr
     return frame.set_geometry(rounded)
 
 
-def write_base_map(path: Path, frame: gpd.GeoDataFrame) -> None:
-    """Write a base map as GeoParquet that carries its credit and licence.
+def land_cover_from(source: str | Path, crs: str, bounds_m: Bounds) -> LandCover | None:
+    """Return the water and the parks within a box of a sample city or an OSM file; None of what holds neither.
+
+    Args:
+      source: ``"sample:CITY"`` or a file.
+      crs, bounds_m: as of `read_base_map`.
 
     Raises:
-      InputError: the folder cannot be written to.
+      InputError: the file cannot be read.
     """
-    write_geoparquet(path, frame, frame.attrs)
-
-
-def save_base_map(frame: gpd.GeoDataFrame | None, workspace: Workspace) -> None:
-    """Write a base map into a folder of maps; without one, remove what this command wrote there before."""
-    if frame is None:
-        workspace.remove([BASE_MAP_FILE])
-    else:
-        write_base_map(workspace.folder / BASE_MAP_FILE, frame)
-
-
-def land_cover_in(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
-    """Return the water and the parks of a base map within a box; arguments and errors as of `read_base_map`."""
+    if not is_sample(source):
+        return read_land_cover(source, crs, bounds_m) if is_osm(source) else None
+    path = base_map_source(source)
+    if path is None:
+        return None
     frame = read_base_map(path, crs, bounds_m).to_crs(crs)
     shapes = frame.make_valid()
     return LandCover(*(shapes[frame["kind"] == kind].union_all() for kind in ("water", "park")))

@@ -35,11 +35,12 @@ from jaxurban.io.read.kinds import (
     WOOD,
 )
 from jaxurban.io.read.learned import LARGE, Learned, classes_of, learned_from, of_classes
-from jaxurban.io.read.outlines import Outlines, polygonal
+from jaxurban.io.read.outlines import Outlines
 from jaxurban.io.read.solids import prisms_of_solids
 from jaxurban.io.read.stands import is_water, what_stands
 from jaxurban.io.read.wires import in_spans, with_supports
 from jaxurban.settings import SLABS
+from jaxurban.world.extent import polygonal
 from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, transformer
 from jaxurban.world.kinds import PLANTS, WIRES

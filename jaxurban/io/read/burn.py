@@ -5,7 +5,7 @@ import math
 import numpy as np
 import shapely
 
-from jaxurban.io.read.outlines import meets
+from jaxurban.world.extent import meets
 from jaxurban.world.footprints import Footprints
 from jaxurban.world.grid import Grid
 

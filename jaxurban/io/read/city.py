@@ -31,7 +31,7 @@ from jaxurban.io.read.guesses import (
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.lidar import Points, heights_of_points, read_points
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
-from jaxurban.io.read.outlines import Near, Outlines, meets
+from jaxurban.io.read.outlines import Near, Outlines
 from jaxurban.io.read.plausible import (
     TALLEST_PLANT_M,
     check_are_heights,
@@ -60,7 +60,7 @@ from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed, warn_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES, Population, check_has_people
 from jaxurban.settings import SLABS
-from jaxurban.world.extent import MAIN_SHARE, main_bounds
+from jaxurban.world.extent import MAIN_SHARE, main_bounds, meets
 from jaxurban.world.grid import (
     WGS84,
     Bounds,

@@ -21,12 +21,6 @@ if TYPE_CHECKING:
     from jaxurban.metrics.population import Population
 
 
-def guessed_share(buildings: Footprints, bounds_m: Bounds) -> float:
-    """Return the share of the buildings in a box whose height is guessed, 0 without a building."""
-    is_guessed = buildings.inside(bounds_m).is_guessed
-    return float(is_guessed.mean()) if is_guessed.size else 0.0
-
-
 def height_guesses(
     buildings: Footprints | None,
     learned: Mapping[str, Learned],
@@ -55,7 +49,7 @@ def height_guesses(
     numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M, "default": default}
     counts = {words: int((inside.origin == origin).sum()) for origin, words in GUESSED_BY.items()}
     kinds = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
-    share = guessed_share(buildings, bounds_m)
+    share = buildings.guessed_share(bounds_m)
     guesses = guessed(GuessKind.HEIGHTS, share, number=len(inside), kinds=kinds)
     if file.highest_m is not None:
         guesses += guessed(GuessKind.HIGHEST_SAID, highest_m=str(file.highest_m))

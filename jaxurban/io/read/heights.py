@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from decimal import Decimal
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from jaxurban import settings
 from jaxurban.io.read.issues import ReadIssue, ReadIssues
+from jaxurban.io.tables import is_blank
 from jaxurban.settings import MAX_HEIGHT_M
 from jaxurban.world.footprints import Footprints, HeightOrigin
 
@@ -111,11 +111,6 @@ def parse_height_m(text: str) -> float:
 def parse_count(text: str) -> float:
     """Return the number (of levels) that ``text`` spells, NaN where it cannot be read; lists as for lengths."""
     return _highest(text, _count)
-
-
-def is_blank(value: Any) -> bool:
-    """Return whether a value says nothing: None, NaN or blank text."""
-    return not value.strip() if isinstance(value, str) else value is None or value != value
 
 
 def is_given(column: np.ndarray) -> np.ndarray:

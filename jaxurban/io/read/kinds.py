@@ -25,6 +25,7 @@ from operator import attrgetter
 from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.learned import PACKAGED
 from jaxurban.world.footprints import UNKNOWN
+from jaxurban.world.kinds import MOST_WOOD_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ TURBINE = Kind("turbine", 100.0, radius_m=50.0)
 TOWER = Kind("tower", 30.0, radius_m=5.0)
 BRIDGE = Kind("bridge", 5.5, 100.0)  # for each layer
 TREE = Kind("tree", PACKAGED["tree"][0], 35.0)
-WOOD = Kind("wood", 20.0, 45.0, 10.0)
+WOOD = Kind("wood", 20.0, MOST_WOOD_M, 10.0)
 PHONE_LINE = Kind("wire", 10.0, 30.0)
 CROWN_SHARE = 0.4  # of a tree's height: the radius of a crown of unknown width
 RIDE_SHARE = 0.5  # of a ride's height: half of it is a wheel's radius

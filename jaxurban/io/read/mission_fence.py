@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import shapely
 
-from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.zone import Zone
+from jaxurban.world.extent import polygonal
 from jaxurban.world.grid import WGS84, transformer
 
 EARTH = shapely.box(-180, -90, 180, 90)

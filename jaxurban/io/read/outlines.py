@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import shapely
 from pyproj.exceptions import ProjError
 
 from jaxurban.errors import InputError
@@ -137,23 +136,3 @@ class Near(NamedTuple):
             return None
         is_box = np.isfinite(box).all() and box[0] < box[2]  # not across the antimeridian
         return box if is_box else None
-
-
-def meets(boxes: np.ndarray, box: Bounds) -> np.ndarray:
-    """Return which of the boxes ``[N, 4]`` touch a box, ``[N]`` bool; none that is NaN does."""
-    x_min, y_min, x_max, y_max = boxes.T
-    return (x_min <= box[2]) & (x_max >= box[0]) & (y_min <= box[3]) & (y_max >= box[1])
-
-
-def extent_of(boxes: np.ndarray) -> Bounds:
-    """Return the box around boxes ``[N, 4]``, NaN left out; inf and -inf without any."""
-    low = np.fmin.reduce(boxes[:, :2], initial=np.inf)
-    high = np.fmax.reduce(boxes[:, 2:], initial=-np.inf)
-    return (*low.tolist(), *high.tolist())
-
-
-def polygonal(geometry: shapely.Geometry) -> shapely.Geometry:
-    """Return the polygons of a geometry or collection, as one Polygon or MultiPolygon; empty if it has none."""
-    # Twice: a collection may hold MultiPolygons.
-    parts = shapely.get_parts(shapely.get_parts(geometry))
-    return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])

@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
+from jaxurban import wings
 from jaxurban.errors import InputError
 from jaxurban.io.city import WOOD, City, Counted
-from jaxurban.io.read import kinds
 from jaxurban.io.read.burn import UNKNOWN_GROUND_M, burn, burn_heights
-from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.kernels.blocks import part_of, rounded_up
 from jaxurban.metrics.custom import Layer, check_values
 from jaxurban.settings import SLABS, highest_of
+from jaxurban.world.extent import meets
 from jaxurban.world.footprints import BUILDING, Footprints
 from jaxurban.world.grid import WGS84, Grid, transformer
-from jaxurban.world.kinds import CODES
+from jaxurban.world.kinds import CODES, MOST_WOOD_M
 from jaxurban.world.raster import Raster
 from jaxurban.world.surface import NO_BUILDING, OF_REGION, PER_CELL, Slabs, Surface
 
@@ -166,7 +166,7 @@ def rasterise(
 def unknown_plants_m(city: City, grid: Grid) -> np.ndarray:
     """Return how high plants may be where a city's raster has no data, ``[Y, X]`` float32 metres, 0 elsewhere."""
     assert city.plants is not None
-    highest_m = min(kinds.WOOD.limit_m, highest_of(city.heights, WOOD))
+    highest_m = min(MOST_WOOD_M, highest_of(city.heights, WOOD))
     return np.isnan(resample_raster(city.plants, grid)) * np.float32(highest_m)
 
 
@@ -417,10 +417,8 @@ def bands_of(
             continue
         bands: Sequence[Raster | np.ndarray]
         if isinstance(layer.source, str):
-            from jaxurban.io.read.raster import read_bands  # GDAL loads for files alone
-
             path = (folder or Path()) / layer.source
-            bands = read_bands(path, region.crs, region.bounds_m)
+            bands = wings.read_bands(path, region.crs, region.bounds_m)
         else:
             bands = _bands_of_array(name, layer.source, region)
         for band in bands:

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from jaxurban import wings
 from jaxurban.checks import finite
 from jaxurban.errors import InputError, SkippedRouteWarning, warn
-from jaxurban.io.read.vector import open_layers
 
 SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
 ALTITUDE_PROPERTY = "altitude_m"
@@ -56,7 +56,7 @@ def read_routes(file: str | Path) -> list[Route]:
     """
     routes = []
     num_others = 0
-    layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
+    layers = (frame.to_crs("EPSG:4326") for frame in wings.open_layers(file, "routes"))
     features = (
         feature
         for frame in layers

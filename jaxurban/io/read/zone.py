@@ -9,6 +9,7 @@ import shapely
 from shapely import affinity
 
 from jaxurban.errors import InputError
+from jaxurban.world.extent import polygonal
 from jaxurban.world.grid import Grid, known_crs, transformer
 
 MAX_EDGE_M = 100.0  # longer edges are cut before they are projected: at latitude 60 they then bend less than 1 mm
@@ -94,8 +95,6 @@ class Zone:
         east += TURN * (west > east)  # where the grid lies across the antimeridian
         margin = 0.01 * (east - west + north - south)
         box = shapely.box(west - margin, south - margin, east + margin, north + margin)
-        from jaxurban.io.read.outlines import polygonal  # here: it brings pandas
-
         # Where the outline or the box reaches across the antimeridian, it is seen a turn on and back too.
         crs = known_crs(self.crs)
         seen = [self.polygon]
@@ -141,6 +140,4 @@ def cell_boxes(grid: Grid, corners: np.ndarray, size: int) -> np.ndarray:
 
 def made_valid(shape: shapely.Geometry) -> shapely.Geometry:
     """Return the polygons that an outline encloses, all that it goes around twice included."""
-    from jaxurban.io.read.outlines import polygonal
-
     return polygonal(shapely.make_valid(shape, method="structure", keep_collapsed=False))

@@ -3,10 +3,10 @@
 import numpy as np
 import shapely
 
-from jaxurban.io.read.outlines import polygonal
 from jaxurban.paths.export.base import DECIMALS
 from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
+from jaxurban.world.extent import polygonal
 from jaxurban.world.grid import Grid, covering_grid
 
 NEAR_M = 1000.0  # zones within this of a path are in its geofence, as far as they are

@@ -14,7 +14,6 @@ import shapely
 
 from jaxurban.checks import positive
 from jaxurban.errors import InputError
-from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.zone import made_valid
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.maps.sources import standing_on
@@ -23,6 +22,7 @@ from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.export.fences import exclusions, ring_of, without_holes
 from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
+from jaxurban.world.extent import polygonal
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import stands_at
 

@@ -9,11 +9,9 @@ from typing import Unpack
 import numpy as np
 import pandas as pd
 
+from jaxurban import wings
 from jaxurban.checks import typed, values_given
 from jaxurban.errors import InputError
-from jaxurban.io.read.base_map import base_map_source, land_cover_in
-from jaxurban.io.read.land_cover import read_land_cover
-from jaxurban.io.read.osm import is_osm
 from jaxurban.io.results import Result
 from jaxurban.io.samples import is_sample
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, records_of, write_table
@@ -26,7 +24,6 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress, reporting
-from jaxurban.samples.synthetic import demo_cover_for_bounds
 from jaxurban.studies.decided import Conclusion
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.sampling import (
@@ -251,22 +248,19 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
     region = scenario.region
     named = scenario.study.land_cover
     if named is None and scenario.is_synthetic:
-        return demo_cover_for_bounds(region.bounds, region.crs)
+        return wings.demo_cover_for_bounds(region.bounds, region.crs)
 
     # Files are read as far as the cells of the scenario's first resolution reach.
     source = named or str(scenario.buildings.source)
     grid = scenario_grid(scenario)
-    if is_sample(source):
-        base = base_map_source(source)
-        return None if base is None else land_cover_in(base, grid.crs, grid.bounds_m)
-    if not is_osm(scenario.path_of(source)):
-        if named is not None:
-            raise InputError(
-                f"[study] land_cover must be an OpenStreetMap file (.osm.pbf, .osm, or JSON of the Overpass API), "
-                f"got {named!r}"
-            )
-        return None
-    return read_land_cover(scenario.path_of(source), grid.crs, grid.bounds_m)
+    file = source if is_sample(source) else scenario.path_of(source)
+    cover = wings.land_cover_from(file, grid.crs, grid.bounds_m)
+    if cover is None and named is not None and not is_sample(named):
+        raise InputError(
+            f"[study] land_cover must be an OpenStreetMap file (.osm.pbf, .osm, or JSON of the Overpass API), "
+            f"got {named!r}"
+        )
+    return cover
 
 
 def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constraints) -> None:

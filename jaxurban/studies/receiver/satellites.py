@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from jaxurban import wings
 from jaxurban.io.city import City
 from jaxurban.io.read.orbits import matching
 from jaxurban.io.read.tracks import AZIMUTH, CN0, ELEVATION, SATELLITE
-from jaxurban.io.read.vector import open_frame
 from jaxurban.satellites.track import NUM_VISIBLE, Track
 from jaxurban.studies.receiver.logs import EPOCH, ReceiverLog
 from jaxurban.studies.receiver.settings import EVERYWHERE, OF_CITY
@@ -36,7 +36,7 @@ def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geo
     if known in (OF_CITY, EVERYWHERE):
         return city.known_ground
     if isinstance(known, str | Path):
-        frame = open_frame(known, "known area").to_crs(city.crs)
+        frame = wings.open_frame(known, "known area").to_crs(city.crs)
         return shapely.union_all(frame.geometry.to_numpy())
     places = np.unique(np.column_stack([track.x_m, track.y_m]), axis=0)
     return shapely.union_all(shapely.buffer(shapely.points(places), float(known)))

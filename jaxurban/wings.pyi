@@ -1,0 +1,17 @@
+from jaxurban.io.read.airspace import read_zones as read_zones
+from jaxurban.io.read.base_map import base_map_source as base_map_source
+from jaxurban.io.read.base_map import land_cover_from as land_cover_from
+from jaxurban.io.read.base_map import read_base_map as read_base_map
+from jaxurban.io.read.city import covers_too_much as covers_too_much
+from jaxurban.io.read.city import lonlat_extent as lonlat_extent
+from jaxurban.io.read.city import proposed_bounds as proposed_bounds
+from jaxurban.io.read.city import read_city as read_city
+from jaxurban.io.read.city import size_m as size_m
+from jaxurban.io.read.mission import read_flight as read_flight
+from jaxurban.io.read.raster import read_bands as read_bands
+from jaxurban.io.read.vector import open_frame as open_frame
+from jaxurban.io.read.vector import open_layers as open_layers
+from jaxurban.paths.export.write import FORMATS as FORMATS
+from jaxurban.paths.export.write import write_path as write_path
+from jaxurban.samples.synthetic import demo_city_for_bounds as demo_city_for_bounds
+from jaxurban.samples.synthetic import demo_cover_for_bounds as demo_cover_for_bounds
