@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
+from jaxurban import wings
 from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import SAME_HEIGHT_M
@@ -26,7 +27,6 @@ from jaxurban.paths.profile import (
     people_below,
     profile_of,
 )
-from jaxurban.paths.return_altitude import NAME, return_altitude
 from jaxurban.paths.route_report import (
     CLEARANCE,
     COST_OF,
@@ -165,7 +165,7 @@ def with_return_altitude(
     limits = constraints_of(planned)
     _, parts = cut_on(planned, maps)
     try:
-        home = return_altitude(
+        home = wings.return_altitude(
             maps,
             home_xy_m=tuple(planned.xy_m[0]),
             clearance_m=limits.clearance_m,
@@ -174,7 +174,7 @@ def with_return_altitude(
     except InputError:
         return report
     least_m = float(home.altitude_m[tuple(parts.cell.T)].max())
-    return replace(report, totals={**report.totals, NAME + "_m": least_m})
+    return replace(report, totals={**report.totals, "return_altitude_m": least_m})
 
 
 def _amounts(parts: Steps, profile: pd.DataFrame, vehicle: Vehicle, swath_m: float) -> pd.DataFrame:
