@@ -13,6 +13,6 @@ from jaxurban.io.read.vector import open_frame as open_frame
 from jaxurban.io.read.vector import open_layers as open_layers
 from jaxurban.paths.export.write import FORMATS as FORMATS
 from jaxurban.paths.export.write import write_path as write_path
+from jaxurban.paths.return_altitude import return_altitude as return_altitude
 from jaxurban.samples.synthetic import demo_city_for_bounds as demo_city_for_bounds
 from jaxurban.samples.synthetic import demo_cover_for_bounds as demo_cover_for_bounds
-from jaxurban.paths.return_altitude import return_altitude as return_altitude

@@ -476,6 +476,11 @@ def run_study(
     return result
 
 
+def report_places(output: Path) -> Settings:
+    """Return where a report lies, as ``--json`` prints it."""
+    return {"folder": str(output), "report": str(output / "report.md")}
+
+
 def log_lines(lines: Mapping[str, str]) -> None:
     """Log the lines of a study's conclusion: what is decided, what is not, and what to run next."""
     for name, text in lines.items():

@@ -17,7 +17,7 @@ import click
 
 from jaxurban.cli.check import check_command
 from jaxurban.cli.common import logged_on_stderr, print_json
-from jaxurban.cli.compare import compare_command, validate_command
+from jaxurban.cli.compare import compare_command
 from jaxurban.cli.demo import demo_command
 from jaxurban.cli.fetch import fetch_command
 from jaxurban.cli.home import return_command
@@ -28,6 +28,7 @@ from jaxurban.cli.sensitivity import sensitivity_command
 from jaxurban.cli.sky import sky_command
 from jaxurban.cli.study import study_command
 from jaxurban.cli.tune import tune_command
+from jaxurban.cli.validate import validate_command
 from jaxurban.cli.view import view_command
 from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
