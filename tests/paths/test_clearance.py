@@ -2,7 +2,6 @@
 
 import tracemalloc
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from benchmarks.random_routes import READERS
+from jaxurban.cli.main import app
 from jaxurban.io.read.zone import cell_boxes, touched_cells
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.paths.clearance import closing_step_m, distance_to_obstacles_m, kept_m
@@ -343,8 +343,8 @@ def test_without_a_clearance_nothing_is_kept_or_closed_and_paths_come_nearer():
 
 
 def test_every_command_that_plans_takes_the_options():
-    for module in ("plan", "sensitivity", "tune"):
-        command = getattr(import_module(f"jaxurban.cli.{module}"), f"{module}_command")
+    for name in ("plan", "sensitivity", "tune"):
+        command = app.commands[name]
         rules = next(param.type.names for param in command.params if "--rules" in param.opts)
         assert {"clearance_m", "vertical_clearance_m"} <= {*rules}
 
