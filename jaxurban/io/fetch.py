@@ -24,7 +24,7 @@ from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.kinds import BY_VALUE, WATERS, Kind
 from jaxurban.io.read.orbits import WARN_AGE_DAYS, middle_epoch, read_orbits
-from jaxurban.io.read.osm import MAYBE, cut_buildings, format_of, header_box, read_osm
+from jaxurban.io.read.osm import MAYBE, header_box, read_osm
 from jaxurban.io.workspace import Workspace
 from jaxurban.metrics.population import Population
 from jaxurban.progress import LOG
@@ -285,9 +285,8 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
     files = []
     left_out = []
     for source in sources:
-        # The download, and the sections of the scenario that use it. A reader may write a part of it to `target`.
+        # The download, and the sections of the scenario that use it.
         path = download(source, most_bytes)
-        target = stage / source.file
         try:
             with readable(
                 path,
@@ -296,7 +295,7 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
                 *BROKEN,
                 what=source.url,
             ):
-                sections = READERS[source.name](job, path, target)
+                sections = READERS[source.name](job, path, source.file)
         except InputError as error:
             path.unlink()  # so that the same command downloads it again
             raise InputError(str(error).replace(str(path), source.url)) from error
@@ -305,8 +304,7 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
             continue
 
         # The file, its settings and its entry in the record.
-        if not target.exists():
-            shutil.copyfile(path, target)
+        shutil.copyfile(path, stage / source.file)
         for section, values in sections.items():
             settings.setdefault(section, {}).update(values)
         fetched = datetime.fromtimestamp(path.stat().st_mtime, UTC)
@@ -341,13 +339,13 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
     return record
 
 
-def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
+def _read_osm(job: FetchJob, path: Path, file: str) -> Settings:
     """Return the sections of a scenario that use OpenStreetMap data.
 
     Args:
       job: its region.
-      path: the download, XML of the Overpass API, or an extract in PBF.
-      target: where the file will lie; from an extract the region with its margin is cut out and written here.
+      path: the download, XML of the Overpass API, or a whole extract.
+      file: its name in the user's folder.
 
     Raises:
       InputError: the server sent a part of the data only, an extract that does not cover the region, or no building.
@@ -361,23 +359,20 @@ def _read_osm(job: FetchJob, path: Path, target: Path) -> Settings:
             "with --source osm=URL"
         )
 
-    # The buildings of the region, from an extract cut out of it.
-    if format_of(path) == "pbf":
-        LOG.info(f"osm: cutting the region and {job.margin_m:g} m around it out of the extract")
-        cut_buildings(path, target, job.box(job.margin_m))
-    outlines = read_osm(target if target.exists() else path)
+    # Whether it holds buildings.
+    outlines = read_osm(path)
     is_building = np.logical_or(*(is_given(outlines.column(tag)) for tag in ("building", "part")))
     if not shapely.get_num_coordinates(outlines.polygons[is_building]).any():
         raise InputError(
             f"{str(path)!r} has no building in the region: check --bounds, longitude first"
         )
-    return {"buildings": {"source": target.name}}
+    return {"buildings": {"source": file}}
 
 
-def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
+def _read_census(job: FetchJob, path: Path, file: str) -> Settings:
     """Return the sections of a scenario that use census blocks, empty where there is no block.
 
-    Arguments are those of `_read_osm`; nothing is written to ``target``.
+    Arguments are those of `_read_osm`.
 
     Raises:
       InputError: the server sent an error or a part of the blocks only, or the blocks cannot be read.
@@ -396,13 +391,13 @@ def _read_census(job: FetchJob, path: Path, target: Path) -> Settings:
     if not content["features"]:
         return {}
     read_blocks(Population(blocks=path, block_field=BLOCK_FIELD), job.crs)
-    return {"population": {"blocks": target.name, "block_field": BLOCK_FIELD}}
+    return {"population": {"blocks": file, "block_field": BLOCK_FIELD}}
 
 
-def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
+def _read_districts(job: FetchJob, path: Path, file: str) -> Settings:
     """Return the sections of a scenario that use district polygons, empty where none touches the region.
 
-    Arguments are those of `_read_osm`; nothing is written to ``target``.
+    Arguments are those of `_read_osm`.
 
     Raises:
       InputError: the polygons cannot be read, or there are none.
@@ -414,13 +409,13 @@ def _read_districts(job: FetchJob, path: Path, target: Path) -> Settings:
         )
     if not shapely.intersects(polygons, shapely.box(*job.box_m(BLOCK_MARGIN_M))).any():
         return {}
-    return {"population": {"districts": target.name}}
+    return {"population": {"districts": file}}
 
 
-def _read_orbits(job: FetchJob, path: Path, target: Path) -> Settings:
+def _read_orbits(job: FetchJob, path: Path, file: str) -> Settings:
     """Return the sections of a scenario that use element sets, empty where they are too far from the job's day.
 
-    Arguments are those of `_read_osm`; nothing is written to ``target``. Without a day the maps are of the middle one
+    Arguments are those of `_read_osm`. Without a day the maps are of the middle one
     of the elements' epochs.
     """
     epoch = str(middle_epoch(read_orbits(path)))
@@ -428,7 +423,7 @@ def _read_orbits(job: FetchJob, path: Path, target: Path) -> Settings:
         return {}
     time = f"{job.day}{NOON}" if job.day else epoch
     LOG.info(f"orbits: the GPS maps are of {time}")
-    return {"gps": {"orbits": target.name, "times": [time]}}
+    return {"gps": {"orbits": file, "times": [time]}}
 
 
 READERS = {

@@ -136,13 +136,11 @@ def explain(
     rows = [row(first, last) for first, last in ends]
     numbers = pd.RangeIndex(1, len(ends) + 1, name="segment")
 
-    lonlat = maps.grid.lonlat_at(states[:, :2] + maps.grid.bounds_m[:2])
     not_of_whole = ("from_", "to_", "min_", "max_")
     return RouteReport(
         totals={name: whole[name] for name in whole if not name.startswith(not_of_whole)},
         segments=pd.DataFrame(rows, index=numbers, columns=list(whole)),
         profile=profile,
-        lines=tuple(lonlat[first : last + 1] for first, last in ends),
         settings={
             "swath_m": swath_m,
             "speed_m_s": vehicle.speed_m_s,

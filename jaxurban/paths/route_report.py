@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from jaxurban.io.tables import numbers_or_none, records_of
@@ -154,7 +153,6 @@ class RouteReport(FactsRepr):
         the route, and ``min_*`` and ``max_*`` of each metric. The sums of costs, lengths and people are the totals.
       profile: a row for each cell that a step of the route crosses, in order: ``from_m`` and ``to_m``, the
         middle's ``lon``, ``lat`` and ``z_m``, and the value of every map; ``roof_kind`` where the maps know kinds.
-      lines: longitude and latitude ``[K, 2]`` of each segment.
       settings: ``swath_m``, ``speed_m_s`` and ``power_w`` as they were given.
       cautions: what a pilot should know of the route (`jaxurban.cautions`).
       density: people beneath its corridor, where it was asked for (`overflown_density`).
@@ -170,7 +168,6 @@ class RouteReport(FactsRepr):
     totals: Mapping[str, float]
     segments: pd.DataFrame
     profile: pd.DataFrame
-    lines: tuple[np.ndarray, ...]
     settings: Mapping[str, float | None]
     cautions: list[Caution]
     density: OverflownDensity | None = None

@@ -17,11 +17,9 @@ from sgp4.exporter import export_tle
 import jaxurban as ju
 from jaxurban.io.fetch import SOURCES, FetchJob
 from jaxurban.io.files import only_writer
-from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.ephemerides import timescale
 from jaxurban.io.read.kinds import BY_VALUE, KINDS, WATERS, Kind
 from jaxurban.io.read.nominal import nominal_satellites
-from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.maps.run import load_city, run_scenario
 from tests.cli_runs import assert_one_sentence, run
 from tests.io.made_files import line, node, osm, way
@@ -236,38 +234,12 @@ def test_two_runs_do_not_share_the_cache_at_a_time(server, tmp_path, capsys):
     assert_one_sentence(err, "another run is writing", "XDG_CACHE_HOME")
 
 
-def test_an_extract_is_checked_and_cut_to_the_region(server, tmp_path, capsys):
-    body = pbf(
-        tmp_path, *houses(), *houses(6, north=0.05)
-    )  # the same houses again, 5 km to the north
+def test_an_extract_is_kept_as_it_is(server, tmp_path, capsys):
+    body = pbf(tmp_path, *houses())
     url = server.put("/state.osm.pbf", send(body))
     code, _, err = fetch(capsys, server, tmp_path / "a", "--what", "osm", "--source", f"osm={url}")
     assert (code, server.paths()) == (0, ["/state.osm.pbf"]), err
-    found = read_buildings(
-        ju.Buildings(tmp_path / "a" / "buildings.osm.pbf"), "EPSG:32618"
-    ).buildings
-    assert sorted(found.height_m.tolist()) == [25, 40]
-
-
-@pytest.mark.slow
-@pytest.mark.data
-def test_a_cut_extract_holds_the_same_buildings_and_the_decks(data_dir, tmp_path):
-    source, cut = data_dir / "osm/lower-manhattan.osm.pbf", tmp_path / "cut.osm.pbf"
-    cut_buildings(source, cut, (-74.02, 40.70, -73.99, 40.72))
-    assert 20 < np.sum(read_osm(cut).column("man_made") == "bridge") < 58  # of the whole
-    inside_m = (583_400.0, 4_506_200.0, 583_700.0, 4_506_600.0)
-    whole = read_buildings(ju.Buildings(source), "EPSG:32618").buildings
-    near = whole.take(shapely.intersects(shapely.box(*whole.boxes_m), shapely.box(*inside_m)))
-    assert 50 < len(near) < 0.1 * len(whole)
-    is_known = (
-        ~near.is_guessed
-    )  # a guess is learned from the file, and the cut one knows other heights
-    assert 180 < is_known.sum() < len(near)
-    for path, compared in ((source, slice(None)), (cut, is_known)):
-        part = read_buildings(ju.Buildings(path), "EPSG:32618", bounds_m=inside_m).buildings
-        assert shapely.equals_exact(part.polygons, near.polygons).all()
-        np.testing.assert_array_equal(part.is_guessed, near.is_guessed)
-        np.testing.assert_array_equal(part.height_m[compared], near.height_m[compared])
+    assert (tmp_path / "a" / "buildings.osm.pbf").read_bytes() == body
 
 
 def asked_of(url):

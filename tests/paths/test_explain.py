@@ -159,11 +159,6 @@ def test_segments_follow_each_other_along_the_route(planned, report):
     edges_m = np.append(report.segments["from_m"], planned.length_m)
     assert edges_m[0] == 0
     np.testing.assert_allclose(report.segments["to_m"], edges_m[1:])
-    np.testing.assert_allclose(
-        [report.lines[0][0], report.lines[-1][-1]], planned.lonlat[[0, -1]], atol=1e-9
-    )
-    for before, after in itertools.pairwise(report.lines):
-        assert np.array_equal(before[-1], after[0])
 
 
 def test_the_report_says_which_stretch_costs_the_most_and_for_which_layer(planned, maps, report):

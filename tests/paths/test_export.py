@@ -139,21 +139,18 @@ def test_without_a_path_nothing_is_written_and_an_old_file_stays(tmp_path):
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("path.kml", "old")]
 
 
-def test_files_take_the_facts_of_a_report_and_geojson_a_line_for_each_segment(route, tmp_path):
+def test_files_take_the_facts_of_a_report_and_geojson_its_segments(route, tmp_path):
     segments = [{"segment": 1, "cost": 5.0, "people_overflown": None}, {"segment": 2, "cost": 7.5}]
     facts = {"speed_m_s": 12.0, "people_overflown": 31.5, "segments": segments}
-    report = SimpleNamespace(lines=(route.lonlat[:150], route.lonlat[149:]), to_dict=facts.copy)
+    report = SimpleNamespace(to_dict=facts.copy)
     files = {suffix: tmp_path / f"path{suffix}" for suffix in READERS}
     assert all(write_path(route, file, report) for file in files.values())
     features = json.loads(files[".geojson"].read_text(), parse_constant=pytest.fail)["features"]
-    path, first, second = (feature["properties"] for feature in features)
-    assert (path["cost"], path["people_overflown"], "segments" in path) == (1234.56, 31.5, False)
-    assert (first["segment"], second["cost"]) == (1, 7.5)
+    (path,) = (feature["properties"] for feature in features)
+    assert (path["cost"], path["people_overflown"]) == (1234.56, 31.5)
+    assert path["segments"] == segments
     frame = gpd.read_file(files[".geojson"])
-    assert frame["segment"].tolist()[1:] == [1, 2]
-    assert shapely.line_merge(shapely.union_all(frame.geometry[1:].to_list())).equals(
-        frame.geometry[0]
-    )
+    assert len(frame) == 1
     root = ElementTree.parse(files[".kml"]).getroot()
     assert root.findtext(".//k:Data[@name='people_overflown']/k:value", namespaces=KML) == "31.5"
     mission = plan_in(files[".plan"])["mission"]

@@ -12,10 +12,7 @@ from collections.abc import Callable, Collection, Sequence
 from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser
-
-import numpy as np
-import shapely
+from xml.etree.ElementTree import Element, ParseError, fromstring
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.mission_parts import (
@@ -38,7 +35,7 @@ from jaxurban.io.read.mission_parts import (
     number_of,
     one_value,
 )
-from jaxurban.io.read.routes import ALTITUDE_PROPERTY, SEGMENT_PROPERTY
+from jaxurban.io.read.routes import ALTITUDE_PROPERTY
 
 OWN = "jaxurban"  # what it calls itself as the creator of GPX
 OWN_HEIGHT = re.compile(r"(-?[\d.]+) m above ground")  # of its points there
@@ -84,10 +81,8 @@ WGS84 = re.compile(
     r"(?:CRS84|4326)|WGS[ _-]?(?:19)?84",
     re.ASCII | re.IGNORECASE,
 )
-NEAR_DEG = 1e-5  # about a metre, by which lines that are straight in degrees leave those straight in metres
+SAME_DEG = 1e-7  # two places that differ by more are two places
 NO_LINE = "is no part of a route, track or line"
-REPEATED = "repeats a part of a route"  # so that it needs no judging
-NOT_REPEATED = "calls itself a segment of a route on which it does not lie"
 
 
 class Line(NamedTuple):
@@ -155,7 +150,6 @@ def mission_of_lines(
     sentences = [
         f"what it holds as {each.what} ({each.num} positions) is not judged, as it {each.why}"
         for each in accounts
-        if each.why != REPEATED
     ]
     if not lines:
         why = f" ({sentences[0]})" if sentences else ""
@@ -281,14 +275,6 @@ def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
     return datum
 
 
-class _Plain(TreeBuilder):
-    """What XML holds, of a file that defines no words of its own."""
-
-    def doctype(self, *_: Any) -> None:
-        """Refuse what may grow without end, or name other files."""
-        raise DamagedError("it has a DOCTYPE, which is never read")
-
-
 def _check_crs(path: Path, name: str, value: Any) -> None:
     """Raise InputError where what has a name names another coordinate reference system than WGS 84 by its value.
 
@@ -358,11 +344,11 @@ def _num_in(element: Element) -> int:
 
 
 def xml_root(data: bytes) -> Element:
-    """Return the root of XML; DamagedError where it cannot be read, or defines words of its own."""
-    parser = XMLParser(target=_Plain())
+    """Return the root of XML; DamagedError where it cannot be read, or may define words of its own."""
+    if b"<!DOCTYPE" in data:
+        raise DamagedError("it has a DOCTYPE, which is never read")
     try:
-        parser.feed(data)
-        return parser.close()
+        return fromstring(data)
     except ParseError as error:
         line, column = error.position
         raise DamagedError(f"its XML is damaged in line {line}, column {column}") from error
@@ -472,7 +458,7 @@ def geojson_lines(path: Path, data: bytes) -> Shapes:
 
     A point's height is its third coordinate, else the feature's property `ALTITUDE_PROPERTY`, and the file does not say
     what it is above. Routes that jaxurban wrote have ``settings``, and the heights of their points above ground in the
-    property ``z_m``; the segments of their reports repeat them.
+    property ``z_m``.
 
     Raises:
       InputError: the file names another coordinate reference system than WGS 84, or is a mission of INAV.
@@ -483,7 +469,6 @@ def geojson_lines(path: Path, data: bytes) -> Shapes:
     if isinstance(whole, dict) and isinstance(whole.get("mission"), list):
         raise InputError(f"{path.name!r} is {INAV}")
     lines: list[Line] = []
-    segments: list[Line] = []
     stack: list[tuple[Any, dict[str, Any]]] = [(whole, {})]  # with the properties of its feature
     while stack:
         value, properties = stack.pop()
@@ -497,22 +482,8 @@ def geojson_lines(path: Path, data: bytes) -> Shapes:
             inner = [value["geometry"]]
         if inner is not None:
             stack += [(part, properties) for part in reversed(inner)]
-        elif properties.get(SEGMENT_PROPERTY) is None:
-            lines += _geojson_lines(value, properties)
         else:
-            segments += _geojson_lines(value, properties)
-
-    # Segments of a report of jaxurban's repeat its route, and have no heights.
-    routes = [np.array(line.points)[:, :2] for line in lines if line.is_own]
-    routes = [route for route in routes if len(route) > 1 and np.isfinite(route).all()]
-    near = shapely.buffer(shapely.MultiLineString(routes), NEAR_DEG)
-    for segment in segments:
-        points = np.array(segment.points)
-        if routes and len(points) > 1:
-            is_flat = (np.isfinite(points) == [True, True, False]).all()
-            is_repeated = is_flat and near.covers(shapely.LineString(points[:, :2]))
-            segment = segment._replace(why=REPEATED if is_repeated else NOT_REPEATED)
-        lines.append(segment)
+            lines += _geojson_lines(value, properties)
     return lines, _num_in_json(whole)
 
 
@@ -644,7 +615,7 @@ def _quantity(path: Path, table: Table, quantity: str) -> list[float]:
         raise InputError(
             f"{path.name!r} has no column of {quantity}: call it {COLUMNS[quantity][0]}"
         )
-    most = NEAR_DEG / 100
+    most = SAME_DEG
     if quantity == "height":
         known |= {name for name in names if any(word in name for word in HEIGHTS)}
         most = SAME_M

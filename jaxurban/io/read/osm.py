@@ -1,4 +1,4 @@
-"""OpenStreetMap files: what may stand of them, assembled by pyosmium, and that of a box cut out of an extract."""
+"""OpenStreetMap files: what may stand of them, assembled by pyosmium."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import osmium
+import pandas as pd
 import shapely
-from osmium.filter import EntityFilter, IdFilter, KeyFilter
+from osmium.filter import EntityFilter, KeyFilter
 from osmium.geom import use_nodes
 
 from jaxurban.errors import readable
@@ -176,7 +177,8 @@ class _Objects:
         may_stand = _may_stand(tags)
         # A bare one may be the outline in a relation of a building.
         if may_stand or len(item.tags) == 1:
-            self.ways_of["r", item.id] = _ways_of(item)
+            all_of_it = _all_of(item.members)
+            self.ways_of["r", item.id] = [each.ref for each in all_of_it if each.type == "w"]
         if of_type in ("site", "bridge"):
             self.areas.add(("r", item.id))
         return may_stand
@@ -246,12 +248,10 @@ class _Objects:
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """``[N]`` the tags of what has a shape, by name, None where one is missing."""
-        names = {"building"}.union(*map(self.tags.__getitem__, self.shapes))
-        columns = {name: np.full(len(self.shapes), None, object) for name in names}
-        for index, key in enumerate(self.shapes):
-            for name, value in self.tags[key].items():
-                columns[name][index] = value
-        return columns
+        rows = [{"building": None, **self.tags[key]} for key in self.shapes]
+        table = pd.DataFrame(rows, dtype=object)
+        table = table.where(table.notna(), None)
+        return {name: table[name].to_numpy() for name in map(str, table)}
 
     @property
     def issues(self) -> ReadIssues:
@@ -349,11 +349,6 @@ def open_osm(path: str | Path, *handlers: Any) -> osmium.FileProcessor:
     return osmium.FileProcessor(file).with_locations(locations)
 
 
-def _ways_of(relation: osmium.osm.Relation) -> list[int]:
-    """Return the ids of the ways in a relation."""
-    return [member.ref for member in _all_of(relation.members) if member.type == "w"]
-
-
 def header_box(path: str | Path) -> Bounds | None:
     """Return west, south, east, north in degrees of an OSM file by its header, None where the header does not say.
 
@@ -374,53 +369,3 @@ def header_box(path: str | Path) -> Bounds | None:
     if not box.valid():
         return None
     return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
-
-
-def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
-    """Write what may stand and has a node in a box, with all that it refers to.
-
-    Args:
-      source: a PBF file, nodes before ways before relations.
-      target: the PBF file to write; an old one is replaced.
-      box: west, south, east, north in degrees.
-    """
-    # The member ways of a building relation need not bear the tag themselves.
-    file = _file(source)
-    of_relations: Any = osmium.FileProcessor(file, osmium.osm.RELATION)
-    ways_of = {
-        relation.id: {*_ways_of(relation)}
-        for relation in of_relations.with_filter(MAY_STAND_OR_TYPE)
-        if relation.tags.get("type") == BUILDING or _may_stand(_tags_of(relation.tags))
-    }
-    members = set[int]().union(*ways_of.values())
-    near = {item.id for item in _in_box(file, IdFilter(members), box) if item.is_way()}
-    to_cut = {relation for relation, ways in ways_of.items() if not near.isdisjoint(ways)}
-    with osmium.BackReferenceWriter(
-        osmium.io.File(str(target), "pbf"), ref_src=file, overwrite=True, remove_tags=False
-    ) as writer:
-        for chosen in (MAY_STAND, LAMPS):
-            for item in _in_box(file, chosen, box):
-                writer.add(item)
-        for relation in of_relations.with_filter(IdFilter(to_cut)):
-            writer.add(relation)
-
-
-def _in_box(file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds) -> Iterator[Any]:
-    """Yield the nodes and ways of a file that pass a filter and lie or have a node in a box.
-
-    Args:
-      file: sorted, with nodes before ways.
-      chosen: the filter.
-      box: west, south, east, north in degrees.
-    """
-    west, south, east, north = box
-    kinds = osmium.osm.NODE if chosen is LAMPS else osmium.osm.NODE | osmium.osm.WAY
-    processor = osmium.FileProcessor(file, kinds).with_locations()
-    item: Any
-    for item in processor.with_filter(chosen):
-        if isinstance(chosen, KeyFilter) and not _may_stand(_tags_of(item.tags)):
-            continue
-        nodes = item.nodes if item.is_way() else [item]
-        places = (node.location for node in nodes if node.location.valid())
-        if any(west <= place.lon <= east and south <= place.lat <= north for place in places):
-            yield item

@@ -15,7 +15,6 @@ from jaxurban import wings
 from jaxurban.checks import finite
 from jaxurban.errors import InputError, SkippedRouteWarning, warn
 
-SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
 ALTITUDE_PROPERTY = "altitude_m"
 TIME_OF_DAY_PROPERTY = "time_of_day"
 TIME_PROPERTY = "time"
@@ -46,8 +45,6 @@ class Route:
 def read_routes(file: str | Path) -> list[Route]:
     """Return the lines of a vector file, each part of a MultiLineString a route of its own.
 
-    Segments that jaxurban wrote beside a route, for its report, are left out.
-
     Warns:
       SkippedRouteWarning: features that are no lines of finite places, and are left out.
 
@@ -66,8 +63,6 @@ def read_routes(file: str | Path) -> list[Route]:
         is_finite = np.isfinite(shapely.get_coordinates(shape)).all()
         if shapely.get_type_id(shape) not in LINES or not is_finite:
             num_others += 1
-            continue
-        if not pd.isna(row.get(SEGMENT_PROPERTY)):
             continue
 
         # The settings of jaxurban's own paths, an object or its JSON text; properties of the feature win over them.

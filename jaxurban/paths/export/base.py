@@ -64,23 +64,22 @@ def upward(height_m: np.ndarray) -> np.ndarray:
 
 def facts_of(
     route: PlannedPath, report: RouteReport | None, *, is_alone: bool = True
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return the facts of a whole path by name, its ``cautions`` among them, and those of each segment of its report.
+) -> dict[str, Any]:
+    """Return the facts of a path by name, its ``cautions`` among them.
 
     Args:
       route: the path.
-      report: the report of the path, whose totals and settings are added; without a report there are no segments.
+      report: the report of the path, whose totals, settings and ``segments`` are added.
       is_alone: whether the file holds no other path. With other paths only what the maps guess is a caution, since all
         other cautions take some hundredths of a second for each path.
     """
     report_facts = {} if report is None else report.to_dict()
-    segments = report_facts.pop("segments", [])
     facts = report_facts | route.to_dict()
     vehicle = Vehicle.of(route.settings)
     if vehicle.speed_m_s is not None:
         facts.setdefault("speed_m_s", vehicle.speed_m_s)
     facts["cautions"] = route.cautions if is_alone else guess_cautions(route.maps)
-    return facts | {"height_reference": HEIGHT_REFERENCE}, segments
+    return facts | {"height_reference": HEIGHT_REFERENCE}
 
 
 def description_of(facts: dict[str, Any], *more: str) -> str:

@@ -103,7 +103,7 @@ def to_qgc_plan(
     ((_, route),) = routes
 
     # What the file says: the facts of the path, its waypoints, the height of home and the rings to keep out of.
-    facts, _ = facts_of(route, report)
+    facts = facts_of(route, report)
     roof_m = 0.0
     if from_roof:
         roof_m = roof_at_start_m(route)

@@ -1,12 +1,11 @@
 """Planned paths as files for other programs: the format is chosen by the file's suffix.
 
-GeoJSON (RFC 7946): a FeatureCollection of one LineString a path, and one more for each segment of a report.
+GeoJSON (RFC 7946): a FeatureCollection of one LineString a path.
 Coordinates are longitude and latitude only, since a third one would be a height above the ellipsoid; the altitudes
 above ground and all else that is known of the path are properties (``altitude_m``, ``z_m`` of each point, ``cost``,
 ``metrics`` ..., with the numbers of these two as ``cost_gps``, ``mean_gps`` ... too; ``cautions`` as sentences;
 ``height_reference`` says what the heights count from; over terrain, ``ground_m`` is the elevation below each). With a
-report its facts are properties too, and each of its segments is a LineString more (``segment``: 1, 2 ...). Of several
-paths each has a ``name``.
+report its facts are properties too, and its ``segments`` as a list. Of several paths each has a ``name``.
 
 GPX 1.1: of each path a route of its waypoints, with its facts in words. ``ele`` of a point is its elevation, that of
 the ground below it in the terrain file and the height above it: so it counts from that file's zero, whatever its
@@ -57,22 +56,16 @@ GROUND_REFERENCE = (
 )
 
 
-def _feature(properties: Mapping[str, Any], lonlat: np.ndarray) -> dict[str, Any]:
-    """Return a line ``[N, 2]`` of longitude and latitude as a feature of GeoJSON."""
-    geometry = {"type": "LineString", "coordinates": positions(lonlat)}
-    return {"type": "Feature", "properties": properties, "geometry": geometry}
-
-
 def to_geojson(routes: Named, report: RouteReport | None) -> bytes:
-    """Return paths as GeoJSON in UTF-8: a feature for each path, and after it one for each segment of its report.
+    """Return paths as GeoJSON in UTF-8, a feature for each path.
 
     Args:
       routes: the paths with their names, ``""`` for one without.
-      report: of the one path, whose totals become properties too; None for no segments.
+      report: of the one path, whose facts become properties too; or None.
     """
     features = []
     for name, route in routes:
-        facts, segments = facts_of(route, report, is_alone=len(routes) == 1)
+        facts = facts_of(route, report, is_alone=len(routes) == 1)
         # A GIS takes nested properties for text, so that each number gets a property of its own too.
         for layer, cost in facts["cost_by_layer"].items():
             facts[f"cost_{layer}"] = cost
@@ -86,9 +79,8 @@ def to_geojson(routes: Named, report: RouteReport | None) -> bytes:
             facts["ground_reference"] = GROUND_REFERENCE
         if name:
             facts = {"name": name, **facts}
-        features.append(_feature(facts, route.lonlat))
-        lines = () if report is None else report.lines
-        features += [_feature(segment, line) for segment, line in zip(segments, lines, strict=True)]
+        geometry = {"type": "LineString", "coordinates": positions(route.lonlat)}
+        features.append({"type": "Feature", "properties": facts, "geometry": geometry})
     collection = {"type": "FeatureCollection", "features": features}
     return (json.dumps(collection, allow_nan=False) + "\n").encode()
 
@@ -111,7 +103,7 @@ def to_gpx(routes: Named, report: RouteReport | None) -> bytes:
         "gpx", xmlns="http://www.topografix.com/GPX/1/1", version="1.1", creator="jaxurban"
     )
     for name, route in routes:
-        facts, _ = facts_of(route, report, is_alone=len(routes) == 1)
+        facts = facts_of(route, report, is_alone=len(routes) == 1)
         element = SubElement(root, "rte")
         along = waypoints(route)
         SubElement(element, "name").text = name or _title(route, facts)
@@ -138,7 +130,7 @@ def to_kml(routes: Named, report: RouteReport | None) -> bytes:
     root = Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = SubElement(root, "Document")
     for name, route in routes:
-        facts, _ = facts_of(route, report, is_alone=len(routes) == 1)
+        facts = facts_of(route, report, is_alone=len(routes) == 1)
         placemark = SubElement(document, "Placemark")
         SubElement(placemark, "name").text = name or _title(route, facts)
         SubElement(placemark, "description").text = description_of(facts)
