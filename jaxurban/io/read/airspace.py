@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import shapely
-from pyproj import Geod
 
 from jaxurban import wings
 from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
 from jaxurban.io.read.broken import BROKEN
+from jaxurban.io.read.mission_parts import GEOD
 from jaxurban.io.read.zone import TURN, Zone, made_valid
 from jaxurban.io.tables import is_blank
 
@@ -90,7 +90,6 @@ ALL_AROUND = (
     "have edges of more than 180 degrees of longitude, and are closed all around the Earth (cut them at the "
     "antimeridian)"
 )
-GEOD = Geod(ellps="WGS84")
 Json = Mapping[str, Any]
 Notes = dict[str, list[str]]  # names of zones, by the sentence that is true of them
 

@@ -36,7 +36,6 @@ COUNT = re.compile(
     r"\s*(\+?(?:[1-9]\d{,2}(?:[,\s]\d{3})+(?!\d)|\d+))((?:[.,]\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*"
 )
 
-SLIVER = 1e-6  # of a pixel's area: what rounding leaves where the borders of two grids coincide
 PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
 
 
@@ -100,30 +99,23 @@ def read_blocks(
 
 
 def _by_night_and_day(night: gpd.GeoDataFrame, day: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return the pixels of two rasters (see `read_people`) as one table, with people by night and by day.
-
-    Of rasters on one grid they are its pixels. Of two grids they are the pieces into which the pixels cut each other,
-    with the people of a pixel spread evenly over its area.
+    """Return the pixels of two rasters on one grid (see `read_people`), with people by night and by day.
 
     Returns:
       ``geometry``, ``_id``, ``_count`` by night and ``_day``, both float64, NaN where the raster has no data.
+
+    Raises:
+      InputError: pixels of the same row and column do not lie at the same place, to a millimetre.
     """
-    # One grid: pixels of the same row and column lie at the same place, to a millimetre.
     both = night.merge(day, on="_id", how="outer", suffixes=("", "_day"))
     both = both.rename(columns={"_count_day": "_day"})
     pairs = both.dropna(subset=["geometry", "geometry_day"])
-    is_same = pairs["geometry"].geom_equals_exact(pairs["geometry_day"], tolerance=1e-3)
-    if len(pairs) and is_same.all():
-        return both.assign(geometry=both["geometry"].fillna(both["geometry_day"]))
-
-    # Two grids: people per square metre, by pieces.
-    night, day = (frame.assign(_count=frame["_count"] / frame.area) for frame in (night, day))
-    both = gpd.overlay(night, day, how="union", keep_geom_type=True)
-    both = both[both.area > SLIVER * min(night.area.min(), day.area.min())]
-    ids = both["_id_1"].fillna("none") + " and " + both["_id_2"].fillna("none")
-    return both.assign(
-        _id=ids, _count=both["_count_1"] * both.area, _day=both["_count_2"] * both.area
-    )
+    if not pairs["geometry"].geom_equals_exact(pairs["geometry_day"], tolerance=1e-3).all():
+        raise InputError(
+            "[population] blocks_night and blocks_day lie on two grids: put one on the pixels of the other with "
+            "`gdalwarp -r sum -tr ... -te ...`, which keeps the number of people"
+        )
+    return both.assign(geometry=both["geometry"].fillna(both["geometry_day"]))
 
 
 def read_people(

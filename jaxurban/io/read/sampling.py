@@ -107,16 +107,13 @@ def heights_above(surface: Raster, ground: Raster) -> Raster:
       ground: elevation of the ground, metres, on any grid and in any CRS; interpolated between its pixel centres.
     """
     num_rows, num_cols = surface.values.shape
-    to_pixel = ~Affine(*ground.transform)
     values = np.empty((num_rows, num_cols), np.float32)
     for start in range(0, num_rows, _ROWS_AT_ONCE):
         rows = slice(start, min(start + _ROWS_AT_ONCE, num_rows))
         col, row = np.meshgrid(np.arange(num_cols), np.arange(rows.start, rows.stop))
-        with np.errstate(invalid="ignore"):
-            ground_col, ground_row = transformed(
-                to_pixel, *pixel_xy(surface, row + 0.5, col + 0.5, ground.crs)
-            )
-        values[rows] = surface.values[rows] - _bilinear(ground, ground_row, ground_col)
+        x, y = pixel_xy(surface, row + 0.5, col + 0.5, ground.crs)
+        ground_m = raster_values(ground, x, y, ground.crs, "bilinear")
+        values[rows] = surface.values[rows] - ground_m
     return replace(surface, values=values)
 
 
