@@ -60,7 +60,7 @@ class Gps:
       bounds: also make ``gps_lower`` and ``gps_upper``, which bracket the true m (``oversample`` odd, one clock).
       clocks: of the receiver, which are solved for beside the position: one for each ``"system"`` that is seen, as
         their times differ by what nobody knows, or ``"one"`` for all, as in the paper, which has but one system.
-      orbits: ``"nominal"``, a file of TLE, OMM, broadcast RINEX, SP3 or YUMA, or several of these (other
+      orbits: ``"nominal"``, a file of TLE, OMM, broadcast RINEX or SP3, or several of these (other
         constellations).
       times: UTC times, ISO 8601, whole seconds; left out, see `jaxurban.maps.build.view_sky`.
       start, stop, step_s: a series of times instead, its end included; UTC and seconds.

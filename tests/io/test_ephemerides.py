@@ -1,4 +1,4 @@
-"""Broadcast RINEX, SP3 and YUMA as orbits: against closed forms, between their nodes, and in the sky of maps."""
+"""Broadcast RINEX and SP3 as orbits: against closed forms, between their nodes, and in the sky of maps."""
 
 import re
 import sys
@@ -10,7 +10,7 @@ from skyfield.api import load
 from skyfield.framelib import itrs
 
 import jaxurban as ju
-from jaxurban.errors import InputError, StaleElementsWarning
+from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.maps.build import view_sky
 from jaxurban.world.grid import Grid
@@ -18,13 +18,7 @@ from tests.guess_records import by_name
 from tests.io.made_files import refused
 from tests.io.test_orbits import TLE
 from tests.io.test_rinex import (
-    ANOMALY,
-    ECCENTRICITY,
-    INCLINATION,
     NAV,
-    NODE,
-    PERIGEE,
-    SEMI_AXIS_ROOT,
     TOE_S,
     UNDER_LAT_DEG,
     UNDER_LON_DEG,
@@ -73,32 +67,6 @@ def sp3_of(tows_s, names=("G05", "R07"), scale="GPS") -> str:
             place_km = "".join(f"{value / 1000 * factor:14.6f}" for value in orbit_m(tow_s))
             lines.append(f"P{name}{place_km}{0.1:14.6f}")
     return "\n".join([*lines, "EOF"]) + "\n"
-
-
-def yuma_of(*numbers, week=WEEK, health=0) -> str:
-    fields = {
-        "ID": None,
-        "Health": health,
-        "Eccentricity": ECCENTRICITY,
-        "Time of Applicability(s)": TOE_S,
-        "Orbital Inclination(rad)": INCLINATION,
-        "Rate of Right Ascen(r/s)": -8e-9,
-        "SQRT(A)  (m 1/2)": SEMI_AXIS_ROOT,
-        "Right Ascen at Week(rad)": NODE,
-        "Argument of Perigee(rad)": PERIGEE,
-        "Mean Anom(rad)": ANOMALY,
-        "Af0(s)": 1e-4,
-        "Af1(s/s)": 0.0,
-        "week": week,
-    }
-    blocks = []
-    for number in numbers:
-        values = fields | {"ID": f"{number:02d}"}
-        rows = "".join(f"{name + ':':<27} {value}\r\n" for name, value in values.items())
-        blocks.append(
-            f"******** Week {week % 1024} almanac for PRN-{number:02d} ********\r\n{rows}"
-        )
-    return "\r\n".join(blocks) + "\r\n"
 
 
 TOWS_S = np.arange(0, 7 * 3600, 900.0) + MIDDLE_S - 3 * 3600
@@ -154,42 +122,9 @@ def test_real_sp3_is_right_between_its_nodes_where_every_second_is_left_out(
     assert num > 1000
 
 
-def test_an_almanac_follows_kepler_within_a_kilometre(tmp_path):
-    (satellite,) = read_orbits(written(tmp_path, yuma_of(5))).satellites
-    for days in (0.0, 0.3, 2.5, 30.0):
-        tow_s = TOE_S + 86_400 * days
-        turned = orbit_m(tow_s)
-        angle = -8e-9 * 86_400 * days  # of the node, which the closed form keeps
-        x, y = turned[:2] @ np.array(
-            [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-        )
-        found = places_m(satellite, [tow_s])[0]
-        assert np.linalg.norm(found - [x, y, turned[2]]) < 1000.0
-
-
-def test_an_almanac_grows_old_as_elements_do(tmp_path):
-    orbits = read_orbits(written(tmp_path, yuma_of(5, 6)))
-    at = UNDER_LON_DEG, UNDER_LAT_DEG
-    with pytest.warns(StaleElementsWarning, match="the elements of G05 .* are 20 days away"):
-        look_angles(orbits, [utc_of(TOE_S + 20 * 86_400)], *at)
-    with pytest.raises(InputError, match=r"G05 .* more than max_age_days = 90"):
-        look_angles(orbits, [utc_of(TOE_S + 100 * 86_400)], *at)
-
-
-def test_a_week_without_its_epoch_is_asked_for_and_the_line_answers(tmp_path):
-    path = written(tmp_path, yuma_of(5, week=WEEK % 1024))
-    with pytest.raises(
-        InputError, match=r"modulo 1024, 219, .* 1984-03-18, 2003-11-02, 2023-06-18: .*`sed -i"
-    ) as caught:
-        read_orbits(path)
-    pattern, week = re.search(r"sed -i 's/(.*)/week: (\d+)/'", str(caught.value)).groups()
-    path.write_text(re.sub(f"(?m){pattern}", f"week: {int(week) + 1024}", path.read_text()))
-    assert middle_epoch(read_orbits(path)) == "2023-06-22T01:00:00Z"
-
-
-@pytest.mark.parametrize("kind", ["broadcast", "sp3", "yuma"])
+@pytest.mark.parametrize("kind", ["broadcast", "sp3"])
 def test_orbits_of_every_kind_give_the_sky_of_maps(tmp_path, kind):
-    text = {"broadcast": NAV, "sp3": sp3_of(TOWS_S, ("G05", "G07")), "yuma": yuma_of(5)}[kind]
+    text = {"broadcast": NAV, "sp3": sp3_of(TOWS_S, ("G05", "G07"))}[kind]
     grid = Grid.from_bounds(
         (UNDER_LON_DEG - 0.01, UNDER_LAT_DEG - 0.01, UNDER_LON_DEG + 0.01, UNDER_LAT_DEG + 0.01),
         50.0,
@@ -212,7 +147,7 @@ def test_a_time_of_which_the_file_says_nothing_is_refused_with_its_span(tmp_path
 
 def test_a_constellation_comes_from_one_source(tmp_path):
     nav = written(tmp_path, NAV, "a.nav")
-    for other in (written(tmp_path, TLE, "a.tle"), "nominal", written(tmp_path, yuma_of(5), "y")):
+    for other in (written(tmp_path, TLE, "a.tle"), "nominal"):
         with pytest.raises(
             InputError, match=r"holds gps, and so does .*: leave one of the two out"
         ):
@@ -227,12 +162,6 @@ def test_a_constellation_comes_from_one_source(tmp_path):
         (NAV[:-100].encode("latin-1"), "ends within a line, so it was cut.: give a TLE"),
         (sp3_of(TOWS_S, scale="UTC").encode(), "counts in UTC, and only GPS time is read"),
         (sp3_of(TOWS_S)[:200].encode(), "cannot be read as whole element sets"),
-        (yuma_of(5)[:-30].encode(), "cannot be read as whole element sets"),
-        (yuma_of(5).replace("week:", "weak").encode(), "cannot be read as whole element sets"),
-        (
-            yuma_of(5).replace(str(ECCENTRICITY), "x").encode(),
-            "cannot be read as whole element sets",
-        ),
     ],
 )
 def test_damaged_orbits_are_one_sentence(tmp_path, content, sentence):

@@ -1,4 +1,4 @@
-"""Ephemerides: satellites whose places on the turning Earth come from broadcast RINEX, SP3 or a YUMA almanac.
+"""Ephemerides: satellites whose places on the turning Earth come from broadcast RINEX or SP3.
 
 The library sidereon (the extra ``receiver``) reads RINEX and SP3, and says which message is used at which time: one of
 GPS and QZSS for 2 hours before and after its epoch, of Galileo for 4 hours after it, of GLONASS for 30 minutes.
@@ -25,10 +25,6 @@ J2000_S = 630_763_200.0  # from the start of GPS time to 2000-01-01T12:00 of GPS
 WEEK_S = 604_800.0
 BEIDOU_WEEKS = 1356  # of GPS time before BeiDou's first week
 GPS_SCALES = ("GPS", "GPST", "GST", "GAL", "QZSST", "QZS")  # Galileo and QZSS keep to GPS time
-ROLLOVER_WEEKS = 1024
-MU_M3_S2 = 3.986005e14  # of Earth, and its rotation: IS-GPS-200, table 20-IV
-EARTH_RAD_S = 7.2921151467e-5
-YUMA_LINES = 13  # of a satellite
 
 
 @lru_cache(maxsize=1)
@@ -57,7 +53,7 @@ class Ephemeris(VectorFunction):  # type: ignore[misc]
     center = 399
 
     def __init__(self, name: str, source: Any, span_s: Sequence[float], health: float) -> None:
-        """Keep what sidereon has read, or the lines of an almanac, as the source of the places."""
+        """Keep what sidereon has read as the source of the places."""
         self.name = self.target = name
         self.span_s = span_s
         self.epoch = timescale().tai_jd(GPS_START_TAI + np.mean(span_s) / 86_400)
@@ -75,24 +71,6 @@ class Ephemeris(VectorFunction):  # type: ignore[misc]
         places_m = np.where(self.health, np.nan, self._places_m(gps_s))
         inertial = np.einsum("jin,nj->in", itrs.rotation_at(t), places_m / 1000 / AU_KM)
         return inertial, 0 * inertial, None, None
-
-
-class Almanac(Ephemeris):
-    """A satellite by its lines in a YUMA almanac (IS-GPS-200, table 20-IV)."""
-
-    def _places_m(self, gps_s: np.ndarray) -> np.ndarray:
-        """Return ``[N, 3]`` places at ``[N]`` seconds of GPS time."""
-        eccentricity, toa_s, inclination, node_rate, axis_root, node, perigee, mean = self._source
-        since_s = gps_s - self.span_s[0]
-        mean = mean + np.sqrt(MU_M3_S2) / axis_root**3 * since_s
-        anomaly = mean
-        for _ in range(10):  # each time the error shrinks by the eccentricity
-            anomaly = mean + eccentricity * np.sin(anomaly)
-        depth = 1j * np.sqrt(1 - eccentricity**2) * np.sin(anomaly)
-        to_node = axis_root**2 * (np.cos(anomaly) - eccentricity + depth) * np.exp(1j * perigee)
-        turn = node + node_rate * since_s - EARTH_RAD_S * (since_s + toa_s)
-        level = (to_node.real + 1j * to_node.imag * np.cos(inclination)) * np.exp(1j * turn)
-        return np.column_stack([level.real, level.imag, to_node.imag * np.sin(inclination)])
 
 
 def library() -> ModuleType:
@@ -127,14 +105,14 @@ def check_time_scale(scale: str, what: str) -> None:
 
 
 def read_ephemerides(data: bytes, what: str) -> list[Ephemeris]:
-    """Return the satellites of broadcast RINEX, SP3 or a YUMA almanac; none of other content.
+    """Return the satellites of broadcast RINEX or SP3; none of other content.
 
     Args:
       data: the content of the file.
       what: names the file, and begins the message of an error.
 
     Raises:
-      InputError: a file in another scale of time, or an almanac whose week is modulo 1024; sidereon is not installed.
+      InputError: a file in another scale of time; sidereon is not installed.
       ValueError: a file that is cut or damaged.
     """
     for mark, read in READERS.items():
@@ -167,27 +145,7 @@ def _sp3(text: str, what: str) -> list[Ephemeris]:
     return [Ephemeris(name, precise, (first_s, last_s), 0.0) for name in precise.satellites]
 
 
-def _yuma(text: str, what: str) -> list[Ephemeris]:
-    """Return the satellites of a YUMA almanac."""
-    values = np.array(re.findall(r":\s*(\S+)\s*$", text, re.MULTILINE), float)
-    table = values.reshape(-1, YUMA_LINES)
-    week = table[0, -1]
-    if week < ROLLOVER_WEEKS:
-        weeks = week + ROLLOVER_WEEKS * np.arange(3)
-        days = ", ".join(f"{GPS_START + pd.Timedelta(days=7 * each):%Y-%m-%d}" for each in weeks)
-        raise InputError(
-            f"{what} counts its week modulo 1024, {week:.0f}, which began on {days}: write the full one into it, as "
-            f"`sed -i 's/^week:.*/week: {weeks[1]:.0f}/' FILE` does for the second"
-        )
-    satellites: list[Ephemeris] = []
-    for number, health, *elements, _, _, _ in table:
-        epoch_s = week * WEEK_S + elements[1]
-        satellites.append(Almanac(f"G{number:02.0f}", elements, (epoch_s, epoch_s), health))
-    return satellites
-
-
 READERS = {  # by the first bytes of a file
     rb"\s*[234]\.\d+ +[NGH]": _broadcast,
     rb"#[a-d][PV]\d{4}": _sp3,
-    rb"\s*\*+ *Week +\d+ +almanac": _yuma,
 }

@@ -47,7 +47,7 @@ PRN_RANGES = (  # first and last PRN, letter, and what is taken off (RINEX 3.05,
 )
 NO_SATELLITE = -1
 REMEDY = (
-    "give a TLE file or an OMM file (csv or json) such as CelesTrak's gps-ops, broadcast RINEX, SP3, a YUMA almanac, "
+    "give a TLE file or an OMM file (csv or json) such as CelesTrak's gps-ops, broadcast RINEX, SP3, "
     'or "nominal"'
 )
 
@@ -89,7 +89,7 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
     """Return the satellites of a file, or the nominal GPS constellation for ``"nominal"``, or of several of these.
 
     Read are two-line elements with or without name lines, orbit mean-elements messages (OMM) as CSV or JSON, broadcast
-    RINEX 2 to 4, SP3 and YUMA almanacs, plain or packed as .gz; the content decides, not the file's name. Each
+    RINEX 2 to 4 and SP3, plain or packed as .gz; the content decides, not the file's name. Each
     satellite's constellation follows from its name.
 
     Raises:

@@ -51,8 +51,9 @@ FORMATS = {
     rb"% (?:program|obs|inp)": "a solution of RTKLIB: write it in UTC (`rnx2rtkp -u`), and make a table with `awk "
     '\'BEGIN {print "utc,lon_deg,lat_deg"} !/^%/ {gsub("/", "-", $1); print $1 "T" $2 "Z," $4 "," $3}\' '
     "FILE > track.csv`",
-    rb"\d+ +\S+\.(?i:alm|al3)?\s*\n *\d+ +\d+\s*\n": "a SEM almanac: name the YUMA almanac of the same week, which "
-    "navcen.uscg.gov and celestrak.org hold beside it",
+    rb"\d+ +\S+\.(?i:alm|al3)?\s*\n *\d+ +\d+\s*\n": "a SEM almanac: give broadcast RINEX or SP3 of "
+    "that day, which igs.bkg.bund.de holds",
+    rb"\*+ *Week +\d+ +almanac": "a YUMA almanac: give broadcast RINEX or SP3 of that day, which igs.bkg.bund.de holds",
     rb"[<\s]*<!DOCTYPE": "XML with a DOCTYPE, which is never read: remove it from the file",
     _ROOT + rb"osm\b": ".osm",
     _ROOT + rb"osmChange\b": "a list of changes to OpenStreetMap: apply it to a whole extract with "
