@@ -298,7 +298,8 @@ def fit(folder: Path) -> tuple[Took, Facts]:
     maps, file = opened(folder, SMALL), folder / "routes.geojson"
     if not file.exists():
         ju.plan_many(maps, queries(maps, 20, 1), altitude_m=ALTITUDE_M, weights=HIDDEN).save(file)
-    routes = ju.fit.read_demonstrations(file, maps)
+    read = getattr(ju.fit, "demonstrations", None) or ju.fit.read_demonstrations  # before 2.0
+    routes = read(file, maps)
 
     def work() -> Facts:  # the numbers alone, whatever holds them
         found = repr(

@@ -51,7 +51,7 @@ MADE_BY = {  # what no constructor is meant for
     "Constraints": 'Constraints.read, as in Constraints.read(require=["gps>=0.3"])',
     "City": "City.from_files, sample_city or demo_city",
     "CostMap": "cost_map",
-    "Demonstration": "read_demonstrations",
+    "Demonstration": "demonstrations",
     "MetricMaps": "build_maps or open_maps",
     "PlannedPath": "plan or plan_many",
     "RouteQuery": "make_queries",

@@ -15,7 +15,7 @@
 #
 # A route says what its pilot cares about: who flies around a crowd spends metres to spare people. Here the pilot is a
 # planner with weights of its own, so that the answer can be checked. In real work the routes come from a file
-# (`ju.fit.read_demonstrations`, or `jaxurban tune` on the command line: [weights](../docs/guides/weights.md)). The
+# (`ju.fit.demonstrations`, or `jaxurban tune` on the command line: [weights](../docs/guides/weights.md)). The
 # first call on a machine compiles for some ten seconds.
 
 # %%
@@ -41,7 +41,7 @@ pilot = ju.cost_map(maps, 20.0, weights=own)
 places = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
 flights = ju.studies.sample_instances(maps, 20, weights=[own], seed=1).query("is_connected")[:16]
 shown = [pilot.plan(ju.XY(x0, y0), ju.XY(x1, y1)) for x0, y0, x1, y1 in flights[places].to_numpy()]
-demonstrations = ju.fit.demonstrations_from_paths(shown, maps)
+demonstrations = ju.fit.demonstrations(shown, maps)
 print(
     f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.length_m for p in shown):,.0f} m"
 )

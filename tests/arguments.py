@@ -148,7 +148,7 @@ def instances() -> pd.DataFrame:
 
 @functools.cache
 def routes() -> list[ju.fit.Demonstration]:
-    return ju.fit.demonstrations_from_study(instances(), maps(), altitude_m=60.0)
+    return ju.fit.demonstrations(instances(), maps(), altitude_m=60.0)
 
 
 def outcome(call: Callable[[], Any]) -> tuple[str, Any]:

@@ -194,15 +194,6 @@ def _costs(plot, case: Case) -> Figure:
     return plot(pd.DataFrame(rows, columns=["planner", "altitude_m", "ratio"]))
 
 
-def _complementarity(plot, case: Case) -> Figure:
-    maps = maps_for(case.is_hard)
-    altitudes_m = case.pick((20.0,), maps.altitudes_m)
-    table = pd.DataFrame(
-        {"altitude_m": altitudes_m, "correlation": -0.31, "gps": 1.0, "lidar": 1.0}
-    )
-    return plot(maps, table)
-
-
 @cache
 def _weighed(is_hard: bool) -> Any:
     """Return what the pictures of a sensitivity take of it: routes between two places, bent ever further."""
@@ -320,7 +311,6 @@ PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
     "metrics.plot_obstacles": _all_maps,
     "metrics.plot_population": _all_maps,
     "metrics.plot_sensor_choice": _all_maps,
-    "montecarlo.plot_complementarity": _complementarity,
     "montecarlo.plot_costs": _costs,
     "paths.plot_overview": _overview,
     "paths.plot_paths": _paths,

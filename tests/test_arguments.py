@@ -185,20 +185,12 @@ def raster_city(**given: Any) -> ju.MetricMaps:
 
 
 def demos(**given: Any) -> Any:
-    return ju.fit.demonstrations_from_study(
-        given.pop("study", on.instances()), **{"maps": on.maps(), **given}
-    )
+    return ju.fit.demonstrations(on.instances(), on.maps(), **given)
 
 
 def fit_of(**given: Any) -> Any:
     usual = {"settings": ju.fit.FitSettings(max_rounds=2), "bootstrap": 2}
     return ju.fit.fit_weights(on.routes(), **usual | given)
-
-
-def fits_of(**given: Any) -> Any:
-    usual = {"settings": ju.fit.FitSettings(max_rounds=2), "bootstrap": 2, "by_city": False}
-    cities = {"a": on.routes(), "b": on.routes()[:2]}
-    return ju.fit.compare_fits(cities, **usual | given)
 
 
 def targets(**given: Any) -> Any:
@@ -315,16 +307,9 @@ USES: dict[str, Callable[..., Any]] = {
     "view": page,
     "when": on.at_times,
     "FitSettings": on.fitted,
-    "compare_fits": fits_of,
-    "demonstrations_from_paths": lambda **given: ju.fit.demonstrations_from_paths(
-        on.path(), on.maps(), **given
-    ),
-    "demonstrations_from_study": demos,
+    "demonstrations": demos,
     "fit_targets": targets,
     "fit_weights": fit_of,
-    "read_demonstrations": lambda **given: ju.fit.read_demonstrations(
-        on.path().save(on.a_file("path.geojson")), on.maps(), **given
-    ),
     "ReceptionCurve": lambda **given: ju.grad.ReceptionCurve(0.0, 1.5, 2.0, 60.0, **given),
     "SoftParams": lambda **given: on.soft(ju.grad.SoftParams(20.0, **given)),
     "all_maps": lambda **given: ju.grad.all_maps(
@@ -373,9 +358,6 @@ USES: dict[str, Callable[..., Any]] = {
     "sensitivity": on.weights_study,
     "study": on.a_study,
     "validate": validated,
-    "write_buildings": lambda **given: ju.studies.write_buildings(
-        home() / "maps", on.path(), on.a_file("costs"), **given
-    ),
 }
 TABLE: dict[str, dict[str, Any]] = {
     "Buildings": HEIGHTS
@@ -676,23 +658,9 @@ TABLE: dict[str, dict[str, Any]] = {
         "state_file": Same("it keeps the searches of an interrupted fit: the result is the same"),
         "progress": PROGRESS,
     },
-    "compare_fits": {
-        "hold_out": 0.5,
-        "by_city": True,
-        "scale": "distance",
-        "bootstrap": 4,
-        "settings": ju.fit.FitSettings(max_rounds=1, seed=3),
-    },
-    "demonstrations_from_paths": RULES | {"metrics": ["risk"]},
-    "demonstrations_from_study": RULES
+    "demonstrations": RULES
     | MAP_OF
-    | {
-        "maps": Case(None, refused="maps"),
-        "altitude_m": 60.0,
-        "planner": Case("astar-plus", refused="planner"),
-        "pilot": ju.Weights(gps=9.0),
-        "metrics": ["risk"],
-    },
+    | {"altitude_m": 60.0, "pilot": ju.Weights(gps=9.0), "metrics": ["risk"]},
     "fit_targets": {
         "start": ju.Weights(risk=9.0),
         "before": ju.Weights(risk=9.0),
@@ -700,11 +668,11 @@ TABLE: dict[str, dict[str, Any]] = {
         "settings": ju.fit.FitSettings(max_rounds=1, seed=3),
     },
     "fit_weights": {
+        "hold_out": 0.5,
         "scale": "distance",
         "bootstrap": 4,
         "settings": ju.fit.FitSettings(max_rounds=1, seed=3),
     },
-    "read_demonstrations": RULES | MAP_OF | {"altitude_m": 60.0, "metrics": ["risk"]},
     "ReceptionCurve": {"source": "a log"},
     "SoftParams": {
         "softness_m": 9.0,
@@ -760,7 +728,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "tolerance": 0.5,
         "max_plans": 1,
         "num_heights": 1,
-        "has_parameters": True,
         "seed": 3,
     },
     "Study": {
@@ -821,19 +788,13 @@ TABLE: dict[str, dict[str, Any]] = {
         "reference": Case("none.csv", refused="none.csv|reference|RINEX"),
         "progress": PROGRESS,
     },
-    "write_buildings": {
-        "scenario": Case("none.toml", refused="none.toml"),
-        "softness_m": 9.0,
-    },
 }
 SLOW = (
     "ReceiverSettings",
     "validate",
     "FitSettings",
-    "compare_fits",
     "fit_targets",
     "fit_weights",
-    "write_buildings",
     "building_costs",
     "sensitivity",
     "when",
@@ -1090,19 +1051,15 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--sample": "4",
             "--rules unknown_heights": KNOWN_HEIGHTS,
             "--pilot": "risk=1,distance=0.1",
-            "--planner": Case("astar-plus", refused="planner"),
             "--wish": Case("detour<=0.1", refused="--wish"),
             "--metrics": "gps",
             "--altitude": "20",
             "--time-of-day": "night",
             "--time": "2020-04-27T16:00:00Z",
             "--resolution": "40",
-            "--fit scale": Same("the rows of fit_weights and compare_fits have it"),
+            "--fit scale": Same("the rows of fit_weights have it"),
             "--fit bootstrap": Case("0,max_rounds=2"),
             "--fit hold_out": Case("0.5,max_rounds=2,bootstrap=2"),
-            "--fit by_city": Same(
-                "one city is fitted alone as it is with all: compare_fits has a row of two"
-            ),
             "--fit max_rounds": Case("1,bootstrap=2"),
             "--fit seed": Case("3,max_rounds=2,bootstrap=2"),
             "--fit budget_s": Case("1e-9,max_rounds=2,bootstrap=2"),
@@ -1124,7 +1081,6 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--range": "0.5,2",
             "--study num_samples": "4",
             "--study num_heights": "1",
-            "--study has_parameters": "true",
             "--study wrong": "30",
             "--study seed": "3",
             "--study tolerance": "0.5",

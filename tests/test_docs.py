@@ -46,7 +46,7 @@ BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE |
 # What asks servers, serves until somebody ends it, takes several cities, machines, minutes or a log of the reader's, or
 # has a test of its own.
 ONLY_PARSED = re.compile(
-    r"fetch (?!.*--dry-run)|view (?!.*--export)|demo\b|tune .*by_city|.*--cluster|sky .*--by-satellite"
+    r"fetch (?!.*--dry-run)|view (?!.*--export)|demo\b|.*--cluster|sky .*--by-satellite"
 )
 
 SCENARIO = """

@@ -46,7 +46,6 @@ MADE = (  # what functions return; XY is looked at where it is used
         "SatelliteAgreement",
         "WeightFit",
         "TargetFit",
-        "FitComparison",
         "Sensitivity",
         "OneRoute",
         "BenchmarkResult",
@@ -71,9 +70,7 @@ METHODS = {  # of what they return
 }
 SIZES = {"first_row": 0, "first_col": 0, "num_rows": 2, "num_cols": 2}
 PLAIN = {
-    **dict.fromkeys(
-        ("maps", "maps_a", "maps_b", "MetricMaps", "demonstrations_from_study.maps"), MAPS
-    ),
+    **dict.fromkeys(("maps", "maps_a", "maps_b", "MetricMaps"), MAPS),
     **{
         "start": START,
         "goal": GOAL,
@@ -142,9 +139,7 @@ MADE_ONCE: dict[str, Callable[[], Any]] = {
     ),
     "density": lambda: ju.overflown_density(MAPS, good("planned"), half_width_m=20.0),
     "PlannedPaths": lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, progress=False),
-    "read_demonstrations.file": lambda: good("planned").save(
-        Path(tempfile.mkdtemp()) / "path.geojson"
-    ),
+    "demonstrations.routes": lambda: good("planned"),
     "check.mission": lambda: good("planned").save(Path(tempfile.mkdtemp()) / "path.plan"),
     "study": lambda: ju.studies.sample_instances(
         MAPS, 4, altitudes_m=[20.0], weights=[ju.Weights()]
@@ -168,8 +163,7 @@ MADE_ONCE: dict[str, Callable[[], Any]] = {
     "soft": lambda: ju.grad.soft_city(good("city"), good("grid"), good("params")),
     "fit_targets.queries": lambda: ju.studies.make_queries(good("cost_map"), [(START, GOAL)]),
     "problem": lambda: good("fit_targets.queries")[0].problem(np.ones(5)),
-    "demonstrations": lambda: ju.fit.demonstrations_from_paths(good("planned"), MAPS),
-    "cities": lambda: {"here": good("demonstrations")},
+    "demonstrations": lambda: ju.fit.demonstrations(good("planned"), MAPS),
     "scenario": lambda: ju.Scenario.from_dict(SETTINGS),
 }
 
@@ -240,7 +234,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ),
     (
         "none such",
-        "kind sample_city.name sample_instances.weights compare_fits.scale fit_weights.scale",
+        "kind sample_city.name sample_instances.weights fit_weights.scale",
     ),
     ("none such", "OneRoute.breakpoints.name"),
     (("gps.mask_deg",), "changes"),
@@ -272,11 +266,8 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ),
     (
         RIGHT,
-        "write_buildings.out write_buildings.scenario Population.blocks",
-    ),
-    (
-        RIGHT,
-        "City.from_files.terrain Gps.orbits Buildings.source Terrain.source read_demonstrations.metrics "
+        "City.from_files.terrain Gps.orbits Buildings.source Terrain.source demonstrations.metrics "
+        "Population.blocks "
         "City.from_files.vegetation Vegetation.source",
     ),
     (RIGHT, "Study.land_cover FitSettings.state_file"),
@@ -421,7 +412,7 @@ WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
         (
             "fit_weights",
             {"demonstrations": 5},
-            "a sequence of Demonstration (from read_demonstrations), got 5",
+            "a sequence of Demonstration (from demonstrations), got 5",
         ),
         ("build_maps", {"gps": ju.Lidar()}, "gps must be Gps or None, got Lidar"),
         (

@@ -238,8 +238,8 @@ def test_studies_of_routes_refuse_volumes():
         ju.studies.make_queries(volume, [(START, GOAL)])
     path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
     climbing = dataclasses.replace(path, z_m=path.z_m + np.arange(len(path.z_m)))
-    with pytest.raises(ju.InputError, match="path 1: it changes its altitude"):
-        ju.fit.demonstrations_from_paths(climbing, MAPS)
+    with pytest.raises(ju.InputError, match="path 1: it has no altitude, or several"):
+        ju.fit.demonstrations(climbing, MAPS)
 
 
 def test_numbers_and_sequences_of_numpy_are_taken_as_python_s():
@@ -257,8 +257,8 @@ def test_places_in_metres_folders_generators_and_single_paths_are_taken_where_ma
     ends = [ju.XY(*map(float, MAPS.grid.xy_of_cell(*FREE[at]))) for at in (0, -1)]
     path = ju.plan(MAPS, *ends, altitude_m=20.0, weights={"risk": 5})
     assert path.cost == paths[0].cost
-    assert len(ju.fit.demonstrations_from_paths((each for each in paths[:2]), MAPS)) == 2
-    (shown,) = ju.fit.demonstrations_from_paths(path, folder)
+    assert len(ju.fit.demonstrations((each for each in paths[:2]), MAPS)) == 2
+    (shown,) = ju.fit.demonstrations(path, folder)
     assert shown.query.cost_map.maps.grid == MAPS.grid
     assert len(ju.studies.sample_instances(folder, 2, altitudes_m=[20.0])) == 2
     assert ju.studies.Study(planners="ptp").planners == ("ptp",)

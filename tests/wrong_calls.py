@@ -10,7 +10,7 @@ maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,))
 start, goal = (-74.0165, 40.7035), (-73.9900, 40.7290)
 path = ju.plan(maps, start, goal, altitude_m=60.0, snap=True)
 report = ju.explain(path, maps)
-demonstrations = ju.fit.demonstrations_from_paths(path, maps)
+demonstrations = ju.fit.demonstrations(path, maps)
 scenario = ju.Scenario.from_toml("sample:lower-manhattan")
 region, buildings = scenario.region, scenario.buildings
 queries = [(start, goal)]

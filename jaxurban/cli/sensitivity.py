@@ -36,7 +36,6 @@ DRAWN_ROUTES = 30  # in each folder of maps
 OF_STUDY = (
     "num_samples",
     "num_heights",
-    "has_parameters",
     "wrong",
     "seed",
     "tolerance",

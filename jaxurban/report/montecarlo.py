@@ -29,7 +29,7 @@ def benchmark_outputs(result: BenchmarkResult) -> Written:
     Settings would guard a folder against other ones; here the rows alone decide what is written.
     """
     tables = tables_of(result)
-    figures = study_figures(result.maps, result.table, tables)
+    figures = study_figures(result.table)
     best = analysis.best_rows(result.table)
     if (best.at_edge == 1).any():
         figures["border"] = partial(border_figure, result, best[best.at_edge == 1])
@@ -60,10 +60,7 @@ def border_figure(result: BenchmarkResult, pinned: pd.DataFrame) -> Figure:
 
 
 def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
-    """Return the tables of a study by name.
-
-    ``complementarity``, which compares GPS with lidar, is among them only where the maps hold both.
-    """
+    """Return the tables of a study by name."""
     table = result.table
     tables = {
         "success": analysis.success(table),
@@ -74,10 +71,6 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
         for name, part in (("ranks", ranking.table), ("pairs", ranking.pairs)):
             part = part.assign(measure=ranking.measure)
             tables[name] = pd.concat([tables[name], part]) if name in tables else part
-    if set(analysis.SENSORS) <= set(result.maps.metrics):
-        altitudes_m = sorted(table.altitude_m.unique())
-        complementarity = analysis.complementarity(result.maps, altitudes_m=altitudes_m)
-        tables["complementarity"] = complementarity
     return tables
 
 

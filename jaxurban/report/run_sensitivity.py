@@ -61,11 +61,10 @@ def sensitivity(
 
     For each route and weight: its share of the cost (which is the gradient of the cost by the logarithm of the weight),
     the nearest breakpoints, the regret of a wrong weight, and Sobol shares of what the route is like; also how routes
-    change at other times of the maps and, if asked, where heights are uncertain or a parameter of a metric is another
-    one. A study of one route holds every route along the range of each weight, too, and a Pareto front. Rows are kept
-    in ``folder`` as they come; the same call after any end, ``kill -9`` included, makes only what is missing. A route
-    that fails is a row with its status. ``report.md`` there says first what is decided, what is not, and what to run
-    next, beside tables and figures.
+    change at other times of the maps and, if asked, where heights are uncertain. A study of one route holds every route
+    along the range of each weight, too, and a Pareto front. Rows are kept in ``folder`` as they come; the same call
+    after any end, ``kill -9`` included, makes only what is missing. A route that fails is a row with its status.
+    ``report.md`` there says first what is decided, what is not, and what to run next, beside tables and figures.
 
     Args:
       sources: maps, or their folder; or maps of each city by its name, folders or maps in memory (which only this
@@ -112,9 +111,9 @@ def sensitivity(
     sources_by_city = named_sources(sources)
     check_workers(workers, sources_by_city.values())
     _check_routes(routes, weights)
-    if scenarios is not None and not (settings.num_heights or settings.has_parameters):
+    if scenarios is not None and not settings.num_heights:
         raise InputError(
-            "scenarios are for maps that are made again: leave them out, or set num_heights or has_parameters"
+            "scenarios are for maps that are made again: leave them out, or set num_heights"
         )
     job = WeightsJob(settings=settings, snap=snap, **values_given(rules))
     cities = open_cities(sources_by_city, job, weights)

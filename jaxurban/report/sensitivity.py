@@ -91,8 +91,7 @@ class Sensitivity(FactsRepr):
       settings: what was asked.
       rules: cost model and constraints of all routes.
       is_sampled: whether the routes were drawn, by stratum and range, or given.
-      changed: how each route differs on other maps: of other times, and of perturbed heights and other parameters where
-        they were asked for.
+      changed: how each route differs on other maps: of other times, and of perturbed heights where they were asked for.
       route: what only a study of one route has; None of several, and where no path joins its ends.
 
     Examples:

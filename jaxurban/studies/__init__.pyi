@@ -1,6 +1,5 @@
 from jaxurban.maps.scenario import Study as Study
 from jaxurban.paths.rows import MapsFolder as MapsFolder
-from jaxurban.report.buildings import write_buildings as write_buildings
 from jaxurban.report.run_sensitivity import sensitivity as sensitivity
 from jaxurban.report.sensitivity import Sensitivity as Sensitivity
 from jaxurban.studies.map_comparison import MapComparison as MapComparison

@@ -1,33 +1,24 @@
-"""Demonstrations: routes of files and planned paths, each on the map that it was flown on."""
+"""Demonstrations: routes on the grid between two ends, each on the map that it was flown on."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, NamedTuple, Unpack
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import shapely
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.checks import typed, values_given
-from jaxurban.errors import InputError, OtherSettingsWarning, SkippedRouteWarning, warn
-from jaxurban.io.read.routes import read_routes
-from jaxurban.io.tables import SUFFIXES
-from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.checks import typed
+from jaxurban.errors import InputError
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.choices import RulesChoice
-from jaxurban.paths.constraints import describe_constraints
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.places import MAX_SNAP_M, XY, cell_at
-from jaxurban.paths.rows import RouteRules
+from jaxurban.paths.places import MAX_SNAP_M, XY
 from jaxurban.paths.snapping import snap_note
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.cost import CostModel
 from jaxurban.studies.queries import RouteQuery
 
 # Of a cell side: a point this near a centre is the centre, written with few decimals.
@@ -39,7 +30,6 @@ ROUNDED_CELLS = (
     2.0  # within so many cells of a redrawn line, another route differs by what the grid rounds
 )
 NEARER = 1e-3  # what a cell away from a line costs, in lengths of a cell
-MOST_REASONS = 3  # in an error; a warning has them all
 
 
 @typed
@@ -54,7 +44,7 @@ class Demonstration:
       drawn_cells: within how many cells of ``points_m`` the route that was meant runs; 0: these are its points.
 
     Examples:
-      >>> (routes,) = ju.fit.demonstrations_from_paths(path, maps)
+      >>> (routes,) = ju.fit.demonstrations(path, maps)
       >>> routes.query.start, routes.query.goal, routes.points_m.shape, routes.drawn_cells
       ((2, 2), (27, 27), (38, 2), 0.0)
       >>> dict(zip(routes.query.names, routes.features.round().tolist()))  # metres, then sums of costs
@@ -100,7 +90,7 @@ class Demonstration:
           ``[K]``, in the order of the weights.
 
         Examples:
-          >>> (planned,) = ju.fit.demonstrations_from_paths(path, maps)  # on the grid, so the same
+          >>> (planned,) = ju.fit.demonstrations(path, maps)  # on the grid, so the same
           >>> bool((planned.cheapest_near(planned.features) == planned.features).all())
           True
         """
@@ -129,205 +119,6 @@ class Demonstration:
         )
         route_m = astar(problem.with_weights(weights)).points_m + first[::-1] * side_m
         return self.query.sums(route_m)[0]
-
-
-@typed
-def read_demonstrations(
-    file: str | Path,
-    maps: MapsLike,
-    altitude_m: float | None = None,
-    time: str | None = None,
-    time_of_day: str | None = None,
-    *,
-    metrics: Sequence[str] | None = None,
-    **rules: Unpack[RulesChoice],
-) -> list[Demonstration]:
-    """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
-
-    Lines are not planned again, but followed on the grid. Ends in closed cells move to free cells by at most 50 m.
-    Lines of no use are left out, with a warning that says which and why. A table of queries holds no lines:
-    `demonstrations_from_study` plans its routes.
-
-    The arguments set altitude and times. Where an argument is left out, the line's own property ``altitude_m``,
-    ``time`` or ``time_of_day`` counts (paths that jaxurban wrote carry them), and without one the maps' first time. An
-    altitude must be known.
-
-    Args:
-      file: GeoJSON, KML, GPX, or another vector file, with LineStrings.
-      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
-      altitude_m, time, time_of_day: of every route, in metres above the ground and UTC.
-      cost_model: of every route; left out, the one under which jaxurban's own paths were planned.
-      constraints: no-fly zones, bounds and clearances, as in `plan`.
-      preset: as in `plan`; gives the cost model where no route names one.
-      metrics: the metrics whose weights are to be fitted; all if left out.
-
-    Returns:
-      A `Demonstration` per line that is of use, in the order of the file; ``note`` says what had to be done to a line.
-
-    Raises:
-      InputError: no lines, or none with an altitude, on a map, inside the maps and past obstacles, or paths that were
-        planned under different cost models.
-
-    Examples:
-      >>> flown = path.save("flown.geojson")
-      >>> (routes,) = ju.fit.read_demonstrations(flown, maps)
-      >>> routes.query.name, routes.query.cost_map.altitude_m, routes.points_m.shape
-      ('1', 60.0, (38, 2))
-    """
-    if Path(file).suffix.lower() in SUFFIXES:
-        raise InputError(
-            f"{str(file)!r} is a table, which holds no lines: demonstrations_from_study plans its routes"
-        )
-    routes = read_routes(file)
-    planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
-    maps = as_maps(maps)
-    map_of = _cost_maps(maps, planned, metrics, rules)
-
-    # Each line on its own map; a line of no use leaves a reason instead.
-    demonstrations, reasons = [], []
-    for number, route in enumerate(routes, start=1):
-        z_m = route.altitude_m if altitude_m is None else altitude_m
-        place = ", ".join(f"{degrees:.6f}" for degrees in route.lonlat[0])
-        label = f"line {number} ({route.name!r}, from {place})"
-        try:
-            if z_m is None:
-                raise InputError(
-                    "it has no altitude: give it a property altitude_m, or pass --altitude (altitude_m=)"
-                )
-            cost_map = map_of(float(z_m), time or route.time, time_of_day or route.time_of_day)
-            xy_m = maps.grid.xy_at(route.lonlat)
-            demonstrations.append(demonstration_from_line(cost_map, xy_m, route.name))
-        except InputError as error:
-            reasons.append(f"{label}: {error}")
-
-    if not demonstrations:
-        raise InputError(f"no line of {str(file)!r} is of use: {'; '.join(reasons[:MOST_REASONS])}")
-    if reasons:
-        left_out = f"{len(reasons)} of {len(routes)} lines of {str(file)!r} were left out: {'; '.join(reasons)}"
-        warn(left_out, SkippedRouteWarning)
-    return demonstrations
-
-
-@typed
-def demonstrations_from_paths(
-    paths: PlannedPath | Sequence[PlannedPath],
-    maps: MapsLike,
-    *,
-    metrics: Sequence[str] | None = None,
-    **rules: Unpack[RulesChoice],
-) -> list[Demonstration]:
-    """Return planned paths as demonstrations, each on the map that it was planned on.
-
-    Args:
-      paths: one or several, from `plan`.
-      maps: the maps on which they were planned, or their folder.
-      constraints: the constraints under which they were planned, as a path does not carry its zones.
-      cost_model, preset, metrics: as in `read_demonstrations`.
-
-    Returns:
-      A `Demonstration` per path, in their order.
-
-    Raises:
-      InputError: a path without points or with several altitudes, maps that do not belong to the paths, or paths that
-        were planned under different cost models.
-
-    Examples:
-      >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
-      >>> routes = ju.fit.demonstrations_from_paths([path, back], maps, metrics=["gps", "lidar"])
-      >>> [each.query.start for each in routes], routes[0].query.names
-      ([(2, 2), (27, 27)], ('distance', 'gps', 'lidar'))
-    """
-    paths = [paths] if isinstance(paths, PlannedPath) else list(paths)
-    if not paths:
-        raise InputError("there are no paths: give at least one")
-    planned = [(f"path {number}", path.settings) for number, path in enumerate(paths, start=1)]
-    map_of = _cost_maps(as_maps(maps), planned, metrics, rules)
-    demonstrations = []
-    for number, path in enumerate(paths, start=1):
-        try:
-            if len(path.z_m) and np.ptp(path.z_m) > 0:
-                raise InputError("it changes its altitude, and fits take one: leave it out")
-            if len(path.xy_m) == 0:
-                raise InputError(f"it has no points ({path.status.value}): leave it out")
-            cost_map = map_of(path.altitude_m, path.settings["time"], path.settings["time_of_day"])
-            for xy_m in path.xy_m[[0, -1]]:
-                _, cell = cell_at(cost_map.grid, "it", XY(*xy_m.tolist()))
-                if not cost_map.is_free[cell]:
-                    raise InputError(
-                        "it starts or ends in a cell that is closed here: give the maps and constraints that it was "
-                        "planned on, or choose obstacles = centre if it was planned by centres"
-                    )
-            demonstrations.append(demonstration_from_line(cost_map, path.xy_m, f"{number}"))
-        except InputError as error:
-            raise InputError(f"path {number}: {error}") from error
-    return demonstrations
-
-
-def _cost_maps(
-    maps: MetricMaps,
-    planned: Sequence[tuple[str, Mapping]],
-    metrics: Sequence[str] | None,
-    rules: RulesChoice,
-) -> Callable[[float, str | None, str | None], CostMap]:
-    """Return a function of altitude in metres, time and time of day that gives the cost map there.
-
-    It makes each cost map once, as fits count maps by identity. Warns of the first route that was planned under another
-    cost model, or under other constraints, than the maps have.
-
-    Args:
-      maps: of the routes.
-      planned: each route's name and the settings that it was planned under; empty settings where none are known.
-      metrics: that the cost maps keep; None: all.
-      rules: of the cost maps. A cost model that is left out is the one that the routes were planned under, else the
-        maps' own; constraints that are left out are those of the maps' scenario.
-
-    Raises:
-      InputError: an invalid cost model in the settings, or routes that name different ones.
-    """
-    # The rules of the cost maps: an argument comes before the rules of the maps' scenario.
-    given = values_given(rules)
-    if "cost_model" not in given:
-        models = {
-            name: CostModel.from_settings(settings)
-            for name, settings in planned
-            if "cost_model" in settings
-        }
-        first = next(iter(models), "")  # a name that no model has where there is none
-        for name, other in models.items():
-            if other != models[first]:
-                raise InputError(
-                    f"{first} was planned under the cost model {models[first]} and {name} under {other}: fit them "
-                    "apart, or name one for all (--rules cost_model=, cost_model=)"
-                )
-        given["cost_model"] = models.get(first)
-    maps, route_rules = RouteRules(**given).under(maps)
-
-    # Whether each route was planned under these rules; for a rule that it does not name it was.
-    rules_now = route_rules.rules()
-    now = _describe_rules(rules_now)
-    for name, settings in planned:
-        before = _describe_rules({key: settings.get(key, rules_now[key]) for key in rules_now})
-        if before != now:
-            warn(
-                f"{name} was planned under {before} and is fitted under {now}: give what it was planned under "
-                "(--rules, --no-fly, --require; cost_model=, constraints=)",
-                OtherSettingsWarning,
-            )
-            break
-
-    @cache
-    def map_of(*place: Any) -> CostMap:
-        """Return the cost map at an altitude, time and time of day."""
-        cost_map = route_rules.cost_map(maps, *place)
-        return cost_map if metrics is None else cost_map.only(metrics)
-
-    return map_of
-
-
-def _describe_rules(rules: Mapping[str, Any]) -> str:
-    """Return cost model and constraints, as `RouteRules.rules` holds them, for a person to read."""
-    limits = describe_constraints(rules["limits"]) or "no constraints"
-    return f"the cost model {CostModel.from_settings(rules)} and {limits}"
 
 
 def optimal_demonstrations(queries: Sequence[RouteQuery], weights: Weights) -> list[Demonstration]:

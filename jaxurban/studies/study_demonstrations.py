@@ -1,339 +1,322 @@
-"""Demonstrations from studies of planners and tables of instances: routes planned again under their rows' weights.
+"""Routes for a fit: planned paths and lines of files as they are, and tables of ends, whose routes are planned here."""
 
-A study keeps what each route costs, not its points. The same planner finds the same route again, of as many samples
-where it draws any, and a route that costs otherwise than its row says is left out.
-"""
-
-import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.checks import finite, one_of, typed, values_given
-from jaxurban.errors import InputError, SkippedRouteWarning, warn
-from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, Row, read_table, records_of
-from jaxurban.io.workspace import Workspace
-from jaxurban.kernels.tolerances import SAME_RECORDED_COST
+from jaxurban.checks import finite, typed, values_given
+from jaxurban.errors import InputError, OtherSettingsWarning, SkippedRouteWarning, warn
+from jaxurban.io.read.routes import Route, read_routes
+from jaxurban.io.tables import SUFFIXES, Row, read_table, records_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.maps.scenario import Study
 from jaxurban.metrics.weights import Weights, weights_on
 from jaxurban.paths.choices import RulesChoice
+from jaxurban.paths.constraints import describe_constraints
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
-from jaxurban.paths.rows import HAS_PATH
-from jaxurban.planners.base import Status
+from jaxurban.paths.rows import RouteRules
 from jaxurban.planners.cost import CostModel
-from jaxurban.planners.registry import find_planner
 from jaxurban.settings import iso_utc
-from jaxurban.studies.demonstrations import MOST_REASONS, Demonstration, demonstration_from_line
+from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line
 from jaxurban.studies.montecarlo.sampling import (
-    KEY,
     as_columns,
     check_instances,
     checked_instances,
     instances_of_queries,
-    read_instances,
 )
-from jaxurban.studies.montecarlo.study import BenchmarkResult
-from jaxurban.studies.montecarlo.trial import WEIGHTED, Benchmark, draws_samples, ends_and_weights
+from jaxurban.studies.weights.routes import query_of
 
-EXACT = "astar"  # plans the routes of tables
 ALIKE = 1e-9  # relative: weights of rows, scaled to sum 1, that are one W
 STARTS = {"start_lon", "start_x_m"}  # one of them is a column of every table of routes
-OF_ROW = ("status", "cost", "num_samples")  # what a study says of a route
-OF_STUDY = ("instance", "altitude_m", "planner", "objective", *OF_ROW)
+MOST_REASONS = 3  # in an error or a warning
 
-
-class _Source(NamedTuple):
-    """Instances whose routes are wanted, what their study was run under, and the planner of their routes.
-
-    Attributes:
-      name: of the folder or the file, for messages.
-      table: a row per instance; for a study's folder also the columns `OF_ROW` of the planner's own row.
-      settings: of the study, by name; empty for a table of instances.
-      planner: plans the routes again.
-    """
-
-    name: str
-    table: pd.DataFrame
-    settings: Mapping[str, Any]
-    planner: str
+MapOf = Callable[[float, str | None, str | None], CostMap]  # of altitude, time and time of day
+Line = tuple[str, Route, np.ndarray]  # what messages call it, what is known of it, [N, 2] metres
 
 
 @typed
-def demonstrations_from_study(
-    study: BenchmarkResult | pd.DataFrame | str | Path,
-    maps: MapsLike | None = None,
+def demonstrations(
+    routes: PlannedPath | Sequence[PlannedPath] | pd.DataFrame | str | Path,
+    maps: MapsLike,
     altitude_m: float | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
     *,
-    planner: str | None = None,
     pilot: Weights | None = None,
     metrics: Sequence[str] | None = None,
     **rules: Unpack[RulesChoice],
 ) -> list[Demonstration]:
-    """Return the routes of a Monte Carlo study, or of a table of instances, as demonstrations of one W.
+    """Return routes as demonstrations of how a pilot weighs the metrics; lists of several may be joined with ``+``.
 
-    The routes are planned again, each under the weights of its row, and for a study by the planner of its row. Rows
-    without a path are left out with a warning that counts them, and so are routes that now have another cost than their
-    row says, as where a budget in seconds ended the search. Routes by day and by night go together, since one W planned
-    them all.
+    **Planned paths and lines of files** are not planned again, but followed on the grid. Ends in closed cells move to
+    free cells by at most 50 m. **Tables** hold ends: instances (`jaxurban.studies.sample_instances`, the
+    ``instances.parquet`` of a study) or queries (`plan_many`). A* plans their routes, each under the weights of its
+    row. Routes by day and by night go together there, since one W planned them all. Routes of no use are left out, with
+    a warning that says which and why.
 
     Args:
-      study: what `jaxurban.studies.study` returned, or the folder that it or ``jaxurban study`` wrote; or instances
-        (`jaxurban.studies.sample_instances`) or queries (`plan_many`), as a table or in a .csv or .parquet file.
-      maps: the maps on which the study was run, from `build_maps` or `open_maps`, or their folder; may be left out for
-        a result and for the folder of ``jaxurban study``, which hold them.
-      altitude_m, time, time_of_day: take only the routes at this altitude and these times; left out, at all.
-      planner: the planner of the study whose routes are taken; left out, the one that most often proved its route the
-        cheapest.
-      pilot: weights under which all routes are planned, by A*, instead of the weights of the rows.
-      cost_model, constraints, preset: as in `plan`; left out, the study's own, but no-fly zones must be given again.
+      routes: one or several paths, from `plan`; or a table; or the file of a table (.csv, .parquet); or a file with
+        LineStrings (GeoJSON, KML, GPX or another vector file).
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      altitude_m, time, time_of_day: of every route, in metres above the ground and UTC. Left out, the route's own
+        count (paths that jaxurban wrote carry them), and without one the maps' first time. An altitude must be known.
+      pilot: weights under which the routes of a table are planned, instead of those of its rows.
+      cost_model: of every route; left out, the one under which jaxurban's own paths were planned.
+      constraints: no-fly zones, bounds and clearances, as in `plan`, of which no file or path carries the zones.
+      preset: as in `plan`; gives the cost model where no route names one.
       metrics: the metrics whose weights are to be fitted; all if left out.
 
     Returns:
-      A `Demonstration` per route, in the order of the rows, named by the number of its instance.
+      A `Demonstration` per route that is of use, in their order; ``note`` says what had to be done to a line.
 
     Raises:
-      InputError: no finished study, a damaged table, other maps or constraints than the study's, an unknown planner,
-        rows under different weights (without a pilot), or no route that is of use.
+      InputError: no route that is of use, a wrong table, one under different weights (without a pilot), a pilot of
+        lines, or paths that were planned under different cost models.
 
     Examples:
-      >>> chosen = ju.studies.Study(planners="astar-plus", weights=[ju.Weights(risk=5.0)], altitudes_m=[60.0])
-      >>> run = ju.studies.study(maps, "one-w", 4, settings=chosen, progress=False)
-      >>> routes = ju.fit.demonstrations_from_study(run)
-      >>> [each.query.name for each in routes], routes[0].query.cost_map.altitude_m
-      (['0', '1', '2', '3'], 60.0)
+      >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
+      >>> routes = ju.fit.demonstrations([path, back], maps, metrics=["gps", "lidar"])
+      >>> [each.query.start for each in routes], routes[0].query.names
+      ([(2, 2), (27, 27)], ('distance', 'gps', 'lidar'))
+      >>> (flown,) = ju.fit.demonstrations(path.save("flown.geojson"), maps)
+      >>> flown.query.name, flown.query.cost_map.altitude_m, flown.points_m.shape
+      ('1', 60.0, (38, 2))
+      >>> instances = ju.studies.sample_instances(maps, 4, altitudes_m=[60.0])
+      >>> planned = ju.fit.demonstrations(instances, maps, pilot=ju.Weights(risk=5.0))
+      >>> [each.query.name for each in planned]
+      ['0', '1', '2', '3']
     """
-    # The arguments. A result holds maps and constraints, which count where the arguments leave them out.
-    if planner is not None and pilot is not None:
-        raise InputError(
-            f"a pilot's routes are planned by A*, so that those of planner {planner!r} are not taken: leave one of "
-            "both out (--planner, --pilot)"
-        )
+    # What every route has, and what messages call the routes.
+    maps = as_maps(maps)
+    at: dict[str, Any] = {}
     if altitude_m is not None:
-        altitude_m = finite("altitude_m", altitude_m)
-    given = values_given(rules)
-    if isinstance(study, BenchmarkResult):
-        maps = study.maps if maps is None else maps
-        given.setdefault("constraints", study.settings.constraints)
-        study = study.folder
-    maps = as_maps(_maps_of(study) if maps is None else maps)
-
-    # The instances, with the weights of the pilot if there is one, and the rules under which their routes are planned.
-    pilot_columns = {} if pilot is None else as_columns(weights_on(maps, pilot), maps.metrics)
-    source = _source(study, maps, planner, pilot_columns)
-    if source.settings:
-        given.setdefault("cost_model", CostModel.from_settings(source.settings))
-    job = Benchmark(study=Study(seed=source.settings.get("seed", 0)), **given)
-    maps, job = job.under(maps)
-    for name, value in job.deciding(maps).items():
-        before = source.settings.get(
-            name, value
-        )  # one that the study does not record counts as equal
-        # The budget may differ: a route that it cut short is found by its cost.
-        if name != "budget" and before != value:
-            raise InputError(
-                f"the study in {source.name!r} was run on other maps or settings than those given: its {name} is "
-                f"{before}, here {value}: give its own (DIR, --resolution, --preset, --rules, --no-fly, "
-                "--require; maps=, cost_model=, constraints=, preset=)"
-            )
-    check_instances(source.table, maps)
-
-    # The rows at the altitude and times that are asked for.
-    table = source.table
+        at["altitude_m"] = finite("altitude_m", altitude_m)
     if time is not None:
-        time = one_of("time", iso_utc(time), maps.times)
+        at["time"] = iso_utc(time)
     if time_of_day is not None:
-        one_of("time_of_day", time_of_day, maps.times_of_day)
-    wanted = {"altitude_m": altitude_m, "time": time, "time_of_day": time_of_day}
-    for column, value in wanted.items():
-        if value is not None:
-            table = table[table[column] == value]
-    _check_one_weights(source.name, table)
+        at["time_of_day"] = time_of_day
+    source = "the routes"
+    if isinstance(routes, str | Path):
+        source = repr(str(routes))
+        if Path(routes).suffix.lower() in SUFFIXES:
+            routes = read_table(routes, "instances")
 
-    return _planned_again(job, maps, source.name, table, source.planner, metrics)
+    # A table is planned; all else are lines.
+    if isinstance(routes, pd.DataFrame):
+        table = routes.assign(**at)
+        if "instance" in table and "altitude_m" in at:
+            table = table.drop_duplicates("instance")  # which stood there for each altitude
+        return _kept(source, _planned(source, table, maps, pilot, metrics, rules))
+    if pilot is not None:
+        raise InputError(
+            f"a pilot plans the routes of tables and sampled instances, and {source} are lines: leave the pilot out "
+            "(--pilot, pilot=)"
+        )
+    lines = list(_lines(routes, maps))
+    map_of = _fitted(_cost_maps(maps, lines, rules), metrics)
+    followed = (
+        (label, partial(_followed, replace(route, **at), xy_m, map_of))
+        for label, route, xy_m in lines
+    )
+    return _kept(source, followed)
 
 
-def _planned_again(
-    job: Benchmark,
-    maps: MetricMaps,
-    name: str,
-    table: pd.DataFrame,
-    planner: str,
-    metrics: Sequence[str] | None,
+def _kept(
+    source: str, routes: Iterator[tuple[str, Callable[[], Demonstration]]]
 ) -> list[Demonstration]:
-    """Return the routes of rows, planned again, as demonstrations; warns of those that are left out, by reason.
+    """Return the demonstrations that can be made; warns of the others.
 
     Args:
-      job: the rules that the routes are planned under.
-      maps: on which they lie.
-      name: of the study or table, for messages.
-      table: a row per route, as of a `_Source`.
-      planner: of the routes.
-      metrics: whose weights are to be fitted; None: all.
+      source: of the routes, for messages.
+      routes: what messages call each, and what makes it or raises InputError.
 
     Raises:
-      InputError: no route is of use.
+      InputError: none can be made.
     """
-    # The cost maps by altitude, time and time of day: routes are planned on maps of all metrics, and fitted on maps of
-    # the chosen ones. Each map is made once, since a fit takes two equal maps for different ones.
-    planned_map = cache(partial(job.cost_map, maps))
-    fitted_map = planned_map
-    if metrics is not None:
-        fitted_map = cache(lambda *place: planned_map(*place).only(metrics))
-
-    # The route of each row, planned again; a row that is of no use is counted by the reason.
-    demonstrations = []
-    reasons: Counter[str] = Counter()
-    for row in records_of(table):
-        place = row["altitude_m"], row["time"], row["time_of_day"]
-        cost_map = planned_map(*place)
-        cost_map_of_fit = fitted_map(*place)
+    kept, reasons = [], []
+    for label, make in routes:
         try:
-            points_m = _points(job, cost_map, row, planner)
-            route = demonstration_from_line(cost_map_of_fit, points_m, f"{row['instance']}")
-            demonstrations.append(replace(route, query=replace(route.query, is_planned=True)))
+            kept.append(make())
         except InputError as error:
-            reasons[str(error)] += 1
-
-    # What was left out, by reason.
-    if not demonstrations:
-        raise InputError(
-            f"no route of {name!r} is of use: {_listed(reasons) or 'none is asked for'}"
-        )
+            reasons.append(f"{label}: {error}")
+    said = "; ".join(reasons[:MOST_REASONS])
+    if len(reasons) > MOST_REASONS:
+        said += f"; and {len(reasons) - MOST_REASONS} more"
+    if not kept:
+        raise InputError(f"no route of {source} is of use: {said or 'there is none'}")
     if reasons:
-        were = "was" if reasons.total() == 1 else "were"
-        left_out = f"{reasons.total()} of {len(table)} routes of {name!r} {were} left out: {_listed(reasons)}"
-        warn(left_out, SkippedRouteWarning)
-    return demonstrations
+        num = len(kept) + len(reasons)
+        warn(
+            f"{len(reasons)} of {num} routes of {source} could not be used: {said}",
+            SkippedRouteWarning,
+        )
+    return kept
 
 
-def study_in(folder: Path) -> Path | None:
-    """Return the folder of a Monte Carlo study: this one, or its ``study``; None where neither is one."""
-    for study in (folder, folder / "study"):
-        if (study / ROWS_FILE).is_file():
-            return study
-    return None
+def _lines(
+    routes: PlannedPath | Sequence[PlannedPath] | str | Path, maps: MetricMaps
+) -> Iterator[Line]:
+    """Yield the lines of a file, or of planned paths, in metres in the maps' CRS.
+
+    A path that changes its altitude has none.
+    """
+    if isinstance(routes, str | Path):
+        for number, route in enumerate(read_routes(routes), start=1):
+            place = ", ".join(f"{degrees:.6f}" for degrees in route.lonlat[0])
+            label = f"line {number} ({route.name!r}, from {place})"
+            yield label, route, maps.grid.xy_at(route.lonlat)
+        return
+    paths = [routes] if isinstance(routes, PlannedPath) else routes
+    for number, path in enumerate(paths, start=1):
+        settings = path.settings
+        route = Route(
+            path.lonlat,
+            f"{number}",
+            None if len(path.z_m) and np.ptp(path.z_m) > 0 else path.altitude_m,
+            settings["time_of_day"],
+            settings["time"],
+            settings,
+        )
+        yield f"path {number}", route, path.xy_m
 
 
-def _maps_of(study: pd.DataFrame | str | Path) -> Path:
-    """Return the folder of the maps that a study was run on.
-
-    This is the folder that holds the study's own folder, or the given folder itself where it holds no rows of a study.
+def _followed(route: Route, xy_m: np.ndarray, map_of: MapOf) -> Demonstration:
+    """Return a line as a demonstration, on its own map.
 
     Raises:
-      InputError: a table, a file, or a folder that does not exist.
+      InputError: it has no altitude, or is of no use.
     """
-    name = "a table"
-    if not isinstance(study, pd.DataFrame):
-        name = repr(str(study))
-        folder = Path(study)
-        if (folder / ROWS_FILE).is_file():
-            folder = folder.parent
-        if folder.is_dir():
-            return folder
-    raise InputError(f"{name} does not hold the maps that its routes lie on: give them (maps=)")
+    if route.altitude_m is None:
+        raise InputError(
+            "it has no altitude, or several: give it one (a property altitude_m, --altitude, altitude_m=)"
+        )
+    cost_map = map_of(float(route.altitude_m), route.time, route.time_of_day)
+    return demonstration_from_line(cost_map, xy_m, route.name)
 
 
-def _source(
-    study: pd.DataFrame | str | Path, maps: MetricMaps, planner: str | None, pilot_columns: Mapping
-) -> _Source:
-    """Return the instances whose routes are wanted, with all columns, and the planner that plans them.
+def _planned(
+    source: str,
+    table: pd.DataFrame,
+    maps: MetricMaps,
+    pilot: Weights | None,
+    metrics: Sequence[str] | None,
+    rules: RulesChoice,
+) -> Iterator[tuple[str, Callable[[], Demonstration]]]:
+    """Yield what plans the route of each row of a table, after what messages call it.
 
     Args:
-      study: a table of instances or of queries, the file of one, or the folder of a study.
-      maps: the routes lie on them.
-      planner: of a study, whose routes are taken (see `_of_folder`); must be None for a table.
-      pilot_columns: a pilot's weights by column (``w_distance`` ...), which replace those of every row; empty: none do.
+      source: of the table, for messages.
+      table: of instances or of queries.
+      maps: that the routes lie on.
+      pilot: weights instead of those of the rows.
+      metrics: whose weights are to be fitted; None: all.
+      rules: of the cost maps.
 
     Raises:
-      InputError: a table or folder that cannot be used, a planner for a table, or routes without weights.
+      InputError: a wrong table, or one without weights, or under different ones.
     """
-    # A folder is a study; all else is a table.
-    name = "the table"
-    if isinstance(study, pd.DataFrame):
-        table = study
-    elif Path(study).is_dir():
-        return _of_folder(study_in(Path(study)) or Path(study), planner, pilot_columns)
-    else:
-        name = str(study)
-        table = read_table(study, "instances")
-    if planner is not None:
-        raise InputError(
-            f"planner is one of a study's, and this is a table of instances: leave {planner!r} out"
-        )
-
     # Without weights nothing says which routes are the cheapest.
-    table = table.assign(**pilot_columns)
+    if pilot is not None:
+        table = table.assign(**as_columns(weights_on(maps, pilot), maps.metrics))
     has_weights = not table.filter(regex=f"^{WEIGHT_PREFIX}").empty
     if not has_weights and STARTS.intersection(table.columns):
         raise InputError(
-            f"{name!r} has no weights under which its routes are the cheapest: give a column for each (w_distance, "
+            f"{source} has no weights under which its routes are the cheapest: give a column for each (w_distance, "
             "w_gps ...), or the weights of a pilot who flies all of them (--pilot, pilot=)"
         )
 
     # Instances have a number and a CRS of their own; queries are places in degrees.
     if "instance" in table or "crs" in table:
-        instances = checked_instances(table, f"the instances file {name!r}")
+        instances = checked_instances(table, source)
     else:
         instances = instances_of_queries(maps, read_queries(table, metrics=maps.metrics))
-    return _Source(name, instances, settings={}, planner=EXACT)
+    check_instances(instances, maps)
+    _check_one_weights(source, instances)
+
+    # Routes are planned on maps of all metrics, and fitted on maps of the chosen ones, each made once.
+    map_of = _cost_maps(maps, (), rules)
+    fitted_map = _fitted(map_of, metrics)
+    for row in records_of(instances):
+        label = f"instance {row['instance']} at {row['altitude_m']:g} m"
+        yield label, partial(_planned_route, row, map_of, fitted_map)
 
 
-def _of_folder(folder: Path, planner: str | None, pilot_columns: Mapping) -> _Source:
-    """Return the instances of a study in a folder, each with the status and cost of one planner's route.
-
-    Args:
-      folder: of the study.
-      planner: whose weighted routes are taken; None: the one that most often proved its route the cheapest, of equals
-        the one that found most routes.
-      pilot_columns: a pilot's weights by column; unless empty, they replace those of the instances, `EXACT` plans all
-        routes, and no planner's own results are added.
+def _planned_route(row: Row, map_of: MapOf, fitted_map: MapOf) -> Demonstration:
+    """Return the cheapest route of an instance, on the map that weights are fitted on.
 
     Raises:
-      InputError: no finished study, a damaged table, no weighted route, or a planner that the study does not have.
+      InputError: an end that is not free, or no path joins the ends.
     """
-    settings = Workspace.settings_of(folder, "study")
-    if not settings or not all((folder / name).is_file() for name in (ROWS_FILE, INSTANCES_FILE)):
-        raise InputError(
-            f"{str(folder)!r} holds no study of planners: name the folder of one, after its maps where these lie "
-            "elsewhere, or run `jaxurban study`"
-        )
-    table = read_instances(folder / INSTANCES_FILE)
-    if pilot_columns:
-        return _Source(str(folder), table.assign(**pilot_columns), settings, EXACT)
+    place = row["altitude_m"], row["time"], row["time_of_day"]
+    query, weights, _ = query_of(map_of(*place), row)
+    points_m = query.cheapest(weights)
+    return Demonstration(replace(query, cost_map=fitted_map(*place), is_planned=True), points_m)
 
-    # How the runs of each planner ended, by planner.
-    rows = read_table(folder / ROWS_FILE, "rows")
-    lost = [name for name in OF_STUDY if name not in rows]
-    if lost:
-        raise InputError(
-            f"{str(folder / ROWS_FILE)!r} lacks the column {lost[0]!r}: run the study again"
-        )
-    rows = rows[rows.objective == WEIGHTED]
-    ends = {
-        "is_optimal": rows.status == Status.OPTIMAL.value,
-        "has_path": rows.status.isin(HAS_PATH),
-    }
-    counts = rows.assign(**ends).groupby("planner", sort=False)[[*ends]].sum()
-    if counts.empty:
-        raise InputError(f"{str(folder)!r} holds no route under weights: run the study again")
-    if planner is None:
-        best_first = counts.sort_values([*ends], ascending=False, kind="stable")
-        planner = str(best_first.index[0])
 
-    # Each instance beside the row of the chosen planner.
-    rows = rows[rows.planner == one_of("planner", planner, counts.index)]
-    instances = table.merge(rows[[*KEY, *OF_ROW]], "left", KEY)
-    return _Source(str(folder), instances, settings, planner)
+def _fitted(map_of: MapOf, metrics: Sequence[str] | None) -> MapOf:
+    """Return a function that gives the cost maps of the chosen metrics, each made once; None: of all."""
+    return map_of if metrics is None else cache(lambda *place: map_of(*place).only(metrics))
+
+
+def _cost_maps(maps: MetricMaps, lines: Sequence[Line], rules: RulesChoice) -> MapOf:
+    """Return a function of altitude in metres, time and time of day that gives the cost map there.
+
+    It makes each cost map once, as fits count maps by identity. Warns of the first route that was planned under another
+    cost model, or under other constraints, than the maps have.
+
+    Args:
+      maps: of the routes.
+      lines: with the settings that they were planned under, where these are known.
+      rules: of the cost maps. A cost model that is left out is the one that the routes were planned under, else the
+        maps' own; constraints that are left out are those of the maps' scenario.
+
+    Raises:
+      InputError: an invalid cost model in the settings, or routes that name different ones.
+    """
+    # The rules of the cost maps: an argument comes before the rules of the maps' scenario.
+    given = values_given(rules)
+    planned = [(label, route.settings) for label, route, _ in lines]
+    if "cost_model" not in given:
+        models = {
+            name: CostModel.from_settings(settings)
+            for name, settings in planned
+            if "cost_model" in settings
+        }
+        first = next(iter(models), "")  # a name that no model has where there is none
+        for name, other in models.items():
+            if other != models[first]:
+                raise InputError(
+                    f"{first} was planned under the cost model {models[first]} and {name} under {other}: fit them "
+                    "apart, or name one for all (--rules cost_model=, cost_model=)"
+                )
+        given["cost_model"] = models.get(first)
+    maps, route_rules = RouteRules(**given).under(maps)
+
+    # Whether each route was planned under these rules; for a rule that it does not name it was.
+    rules_now = route_rules.rules()
+    now = _describe_rules(rules_now)
+    for name, settings in planned:
+        before = _describe_rules({key: settings.get(key, rules_now[key]) for key in rules_now})
+        if before != now:
+            warn(
+                f"{name} was planned under {before} and is fitted under {now}: give what it was planned under "
+                "(--rules, --no-fly, --require; cost_model=, constraints=)",
+                OtherSettingsWarning,
+            )
+            break
+    return cache(partial(route_rules.cost_map, maps))
+
+
+def _describe_rules(rules: Mapping[str, Any]) -> str:
+    """Return cost model and constraints, as `RouteRules.rules` holds them, for a person to read."""
+    limits = describe_constraints(rules["limits"]) or "no constraints"
+    return f"the cost model {CostModel.from_settings(rules)} and {limits}"
 
 
 def _check_one_weights(name: str, table: pd.DataFrame) -> None:
@@ -350,51 +333,7 @@ def _check_one_weights(name: str, table: pd.DataFrame) -> None:
         return
     num_weights = len(np.unique(shares, axis=0))
     raise InputError(
-        f"the routes of {name!r} were planned under {num_weights} different weights, and a fit finds one W: run the "
+        f"the routes of {name} were planned under {num_weights} different weights, and a fit finds one W: run the "
         "study under one ([study] weights = [{ gps = 1.0 }]), or name the weights of a pilot who flies all of its "
         "pairs (--pilot, pilot=)"
     )
-
-
-def _points(job: Benchmark, cost_map: CostMap, row: Row, planner: str) -> np.ndarray:
-    """Return ``[N, 2]`` the route of a row, eastings and northings in metres in the maps' CRS, planned again.
-
-    Args:
-      job: its seed is used for planners that draw samples.
-      cost_map: at the row's altitude and times, with all metrics.
-      row: of an instance; from a study also with the columns `OF_ROW`, which the new route must agree with.
-      planner: finds the route, with as many samples as in the study and without a limit of time.
-
-    Raises:
-      InputError: the planner found no route, in the study or now, the new route has another cost than the row says, or
-        an end of the route is not a free cell.
-    """
-    if "status" in row and row["status"] not in HAS_PATH:
-        raise InputError(f"{planner} found no path")
-
-    # The search of the study again: the same seed and as many samples, if the planner draws any.
-    start, goal, weights = ends_and_weights(cost_map, row)
-    options = {}
-    if draws_samples(planner):
-        options["max_samples"] = int(row["num_samples"])
-    search = find_planner(planner)
-    problem = cost_map.shortest.between(start, goal).with_weights(weights).alone()
-    result = search(problem, budget_s=math.inf, seed=job.seed_of(row["instance"]), **options)
-    if not result.status.has_path:
-        raise InputError("no path joins their ends")
-
-    # A route that costs otherwise than its row says is another one. A row that says no cost agrees with any.
-    cost = cost_map.shortest.features(result.points_m, cost_map.cost_model.kind).cost(weights)
-    if not math.isclose(cost, row.get("cost", cost), rel_tol=SAME_RECORDED_COST):
-        raise InputError(
-            "planned again they cost otherwise than their rows say, as where seconds ended the search"
-        )
-    return result.points_m + cost_map.grid.bounds_m[:2]
-
-
-def _listed(reasons: Counter[str]) -> str:
-    """Return why routes are left out, the most frequent reason first, each with the number of its routes."""
-    listed = [f"{reason} ({num})" for reason, num in reasons.most_common(MOST_REASONS)]
-    if len(reasons) > MOST_REASONS:
-        listed.append(f"and {len(reasons) - MOST_REASONS} more reasons")
-    return "; ".join(listed)

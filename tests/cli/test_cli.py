@@ -260,7 +260,7 @@ def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_p
         ["check", str(made), str(wrong)],
         ["compare", str(made), str(made), "-o", str(made)],
         ["sensitivity", str(made), ends[0], "--routes=3"],
-        ["tune", str(made), "-o", "new", "--wish", "gps>=1", "--fit", "by_city=true"],
+        ["tune", str(made), "-o", "new", "--wish", "gps>=1", "--fit", "bootstrap=3"],
     ]
     runs = "".join(
         f"\ntry: main({line})\nexcept SystemExit as e: assert e.code == 2" for line in lines

@@ -137,9 +137,9 @@ def test_ends_that_only_a_touch_closes_are_told_apart_and_name_the_rule_under_wh
         plan_volume(gap, **ends, start_altitude_m=20.0)
     by_centre = gap.with_obstacles("centre")
     path = ju.plan(by_centre, **ends, altitude_m=20.0)
-    assert ju.fit.demonstrations_from_paths([path], by_centre)
-    with pytest.raises(InputError, match="choose obstacles = centre"):
-        ju.fit.demonstrations_from_paths([path], gap)
+    assert ju.fit.demonstrations([path], by_centre)
+    (moved,) = ju.fit.demonstrations([path], gap)
+    assert "The start was not free: it was moved" in moved.note
 
 
 def test_maps_without_touched_roofs_are_refused_for_planning(gap):

@@ -129,7 +129,7 @@ def test_keywords_that_functions_pass_on_are_those_of_a_cost_map_and_a_search():
             if parameter.kind is parameter.KEYWORD_ONLY
         }
         assert choice.__annotations__ == taken
-    studies = (ju.studies.study, ju.studies.sample_instances, ju.fit.demonstrations_from_study)
+    studies = (ju.studies.study, ju.studies.sample_instances, ju.fit.demonstrations)
     for function in studies:
         assert {*RulesChoice.__annotations__} < {*inspect.signature(function).parameters}
     for function in (ju.plan, ju.plan_many, ju.when, ju.cost_to_go, ju.CostMap.plan, *studies):

@@ -157,10 +157,10 @@ def costs_of_every_way(maps, ends, planned, under, closed, folder) -> dict[str, 
     given = found.route.breakpoints("gps").query("is_given")
     assert given.length_m.item() == pytest.approx(planned.length_m, rel=1e-9)
     for name, (shown,) in {
-        "read_demonstrations": ju.fit.read_demonstrations(
+        "demonstrations of a file": ju.fit.demonstrations(
             planned.save(folder / "route.geojson"), maps, **closed
         ),
-        "demonstrations_from_paths": ju.fit.demonstrations_from_paths([planned], maps, **closed),
+        "demonstrations of paths": ju.fit.demonstrations([planned], maps, **closed),
     }.items():
         assert shown.query.cost_map.cost_model == ju.CostModel.from_settings(planned.settings)
         costs[name] = float(shown.features @ VECTOR)
@@ -295,8 +295,8 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
     both = tmp_path / "both.geojson"
     write_path([line, cell], both, names=["line", "cell"])
     for read in (
-        lambda **more: ju.fit.read_demonstrations(both, maps, **more),
-        lambda **more: ju.fit.demonstrations_from_paths([line, cell], maps, **more),
+        lambda **more: ju.fit.demonstrations(both, maps, **more),
+        lambda **more: ju.fit.demonstrations([line, cell], maps, **more),
     ):
         with pytest.raises(
             ju.InputError,
@@ -312,12 +312,12 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
             read(cost_model="line")
         assert len(told) == 1  # of the first, whose reference length is another one
     drawn = write_geojson(tmp_path / "drawn.geojson", shown)
-    (unit,) = {each.query.cost_map for each in ju.fit.read_demonstrations(drawn, maps)}
+    (unit,) = {each.query.cost_map for each in ju.fit.demonstrations(drawn, maps)}
     assert unit.cost_model == ju.CostModel("line")
 
     both.write_text(both.read_text().replace('"cost_model": "line"', '"cost_model": "area"', 1))
     with pytest.raises(ju.InputError, match="cost_model must be 'cell' or 'line', got 'area'"):
-        ju.fit.read_demonstrations(both, maps)
+        ju.fit.demonstrations(both, maps)
 
 
 def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_file, tmp_path):
@@ -327,20 +327,16 @@ def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_fi
     with pytest.warns(
         OtherSettingsWarning, match=rf"and {constraints} and is fitted .*--no-fly, --require"
     ):
-        ju.fit.read_demonstrations(file, maps)
+        ju.fit.demonstrations(file, maps)
     with pytest.warns(
         OtherSettingsWarning, match="vertical clearance of 3 m and is fitted .* lidar>=0"
     ):
-        ju.fit.demonstrations_from_paths(
-            [free], maps, constraints=ju.Constraints.read(require="lidar>=0")
-        )
+        ju.fit.demonstrations([free], maps, constraints=ju.Constraints.read(require="lidar>=0"))
     moved = tmp_path / "moved.geojson"
     moved.write_text(
         zone_file.read_text()
     )  # the same zone from another file is no other constraint
-    (read,) = ju.fit.read_demonstrations(
-        file, maps, constraints=ju.Constraints.read(moved, REQUIRE)
-    )
+    (read,) = ju.fit.demonstrations(file, maps, constraints=ju.Constraints.read(moved, REQUIRE))
     assert read.note == ""
 
 

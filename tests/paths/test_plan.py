@@ -166,7 +166,7 @@ def test_a_path_flies_there_and_says_what_its_metrics_are(maps, ends, planner, t
     report = ju.explain(path, maps)
     assert report.totals["cost"] == pytest.approx(path.cost, rel=1e-9)
     assert report.totals["mean_gps"] == pytest.approx(path.metrics["gps"], rel=1e-9)
-    (again,) = ju.fit.read_demonstrations(path.save(tmp_path / "route.geojson"), maps)
+    (again,) = ju.fit.demonstrations(path.save(tmp_path / "route.geojson"), maps)
     assert again.query.cost_map.altitude_m == Z_M
     held = ju.plan(maps, **ends, altitude_m=HIGH_M)
     assert "metrics_between_m" not in held.settings

@@ -59,9 +59,10 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     assert report.splitlines()[6] == f"**{facts['message']}**"
     assert (out / "weights.toml").read_text().startswith(f"# {facts['message']}\n")
     parts = [line.removeprefix("## ") for line in report.splitlines() if line.startswith("## ")]
-    assert parts[:3] == ["Fitted weights", "Routes under the weights", "Fits compared"]
-    assert parts[3:] == ["How sure", "How to use the weights", "Files"]
-    assert "4 of 16 routes were held out" in report
+    assert parts[:2] == ["Fitted weights", "Routes under the weights"]
+    assert parts[2:] == ["How sure", "How to use the weights", "Files"]
+    assert "4 further routes were held out" in report
+    assert "On 4 pairs of ends of these routes" in report
     assert report.count("© a made city") == 1
     for figure in ("weights", "routes_1"):
         assert (out / "figures" / f"{figure}.png").is_file()
@@ -128,7 +129,8 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
         (2, ("-o", FILE), ("it is a file",)),
         (1, ("--sample", 6, "--metrics", "gps"), ("name the weights of the pilot",)),
         (1, ("--sample", 6, "--pilot", "distance=0,gps=0"), ("every weight of the pilot is 0",)),
-        (1, (), ("name files of routes", "--sample")),
+        (1, (), ("name files of routes", "instances.parquet", "--sample")),
+        (2, ("--pilot", "gps=1"), ("are lines", "--pilot")),
     ],
 )
 def test_bad_input_is_one_sentence_and_exit_two(
@@ -165,18 +167,15 @@ def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path
     small_maps().save(tmp_path / "second")
     queries = made_queries(cost_map(small_maps(), 20.0), 12, seed=1)
     write_geojson(tmp_path / "second.geojson", optimal_demonstrations(queries, HIDDEN))
-    options = ("--fit", "hold_out=0.25,by_city=true,bootstrap=8,max_rounds=14")
+    options = ("--fit", "hold_out=0.25,bootstrap=8,max_rounds=14")
     second = (tmp_path / "second", tmp_path / "second.geojson")
     facts = facts_of(capsys, *made, *second, "-o", tmp_path / "out", *options)
-    assert [row["fit"] for row in facts["fits"]] == ["all", "only maps", "only second"]
-    assert facts["fits"][0]["held_out_regret"] < 1e-3
+    first = facts["decided"]["verdicts"][0]
+    assert (first["kind"], first["n"]) == ("untested", 7)  # 6 degrees of freedom of two cities
+    assert first["size"] < 0.1
     report = (tmp_path / "out" / "report.md").read_text()
-    for words in ("## Fits compared", "7 of 28 routes were held out", "| only second |"):
-        assert words in report
+    assert "7 further routes were held out" in report
     assert len(pd.read_csv(tmp_path / "out" / "examples.csv")) == 21
-    assert [*pd.read_csv(tmp_path / "out" / "fits.csv")["fit"]] == [
-        row["fit"] for row in facts["fits"]
-    ]
 
 
 @pytest.mark.slow
@@ -198,49 +197,15 @@ def test_sampled_instances_are_flown_by_the_pilot_by_day_and_by_night(tmp_path, 
 
 
 @pytest.mark.slow
-def test_the_study_in_a_folder_of_maps_is_fitted_and_reported(tmp_path, capsys):
+def test_the_instances_of_a_study_are_fitted_and_their_ends_take_a_wish(tmp_path, capsys):
     maps, out = tmp_path / "city", tmp_path / "out"
     small_maps().save(maps)
-    planned = ju.studies.Study(planners=["ptp", "astar-plus"], weights=[HIDDEN], altitudes_m=[20.0])
+    planned = ju.studies.Study(planners=["ptp"], weights=[HIDDEN], altitudes_m=[20.0])
     ju.studies.study(maps, maps / "study", 16, settings=planned, progress=False)
-    own, alone, named = ([maps], [maps / "study"], [maps, maps / "study"])
-    facts = [
-        facts_of(capsys, *words, "-o", out, "--fit", "bootstrap=0") for words in (own, alone, named)
-    ]
-    assert facts[0]["weights"] == facts[1]["weights"] == facts[2]["weights"]
-    assert facts[0]["mean_regret"] < 1e-3
-    assert f"`{maps / 'study'}` over the maps in `{maps}`" in (out / "report.md").read_text()
-    assert_refused(
-        run(capsys, "tune", maps, "-o", tmp_path / "b", "--planner", "theta"),
-        "astar-plus",
-        "'theta'",
-    )
-    wished = facts_of(
-        capsys,
-        maps,
-        "-o",
-        tmp_path / "c",
-        "--wish",
-        "mean_gps>=0.5",
-        "--metrics",
-        "gps",
-        "--fit",
-        "max_rounds=1",
-    )
+    file = maps / "study" / "instances.parquet"
+    facts = facts_of(capsys, maps, file, "-o", out, "--fit", "bootstrap=0")
+    assert facts["mean_regret"] < 1e-3
+    assert f"`{file}` over the maps in `{maps}`" in (out / "report.md").read_text()
+    wish = ("--wish", "mean_gps>=0.5", "--metrics", "gps", "--fit", "max_rounds=1")
+    wished = facts_of(capsys, maps, file, "-o", tmp_path / "c", *wish)
     assert len(wished["outcomes"]) == 1
-
-
-def test_the_folder_that_a_study_was_written_to_is_a_study_of_maps_without_routes(
-    made, tmp_path, capsys
-):
-    outer = tmp_path / "outer"
-    (outer / "study").mkdir(parents=True)
-    (outer / "study" / "rows.parquet").touch()
-    assert_refused(
-        run(capsys, "tune", outer, "-o", tmp_path / "out"), "outer' holds a study and no maps"
-    )
-    for maps in (False, True):
-        if maps:
-            small_maps().save(outer)
-        refused = run(capsys, "tune", made[0], outer, "-o", tmp_path / "out")
-        assert_refused(refused, "study' holds no study of planners")

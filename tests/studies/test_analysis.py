@@ -16,7 +16,6 @@ from jaxurban.studies.bootstrap import (
 )
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.trial import row_columns
-from tests.made_maps import made_maps
 
 CHEAP, DEAR, LINE = "astar-plus", "bitstar-dist", "ptp"
 
@@ -116,38 +115,6 @@ def test_shortest_paths_are_set_against_the_cheapest(table):
     changes = [found[f"{name}_change"] for name in ("cost", "length_m", "m_gps")]
     assert changes == pytest.approx([50, -20, -0.25])  # percent, metres, m
     assert "m_lidar_change" not in found
-
-
-def test_complementarity_is_numpys_over_the_free_cells_of_the_altitudes_that_are_chosen():
-    maps = made_maps(300, 240)
-    assert analysis.complementarity(maps, altitudes_m=[60]).altitude_m.tolist() == [60.0]
-    for row in analysis.complementarity(maps, altitudes_m=maps.altitudes_m).itertuples():
-        is_free = maps.is_free(row.altitude_m, "centre")
-        gps, lidar = (
-            maps.m(name, row.altitude_m)[is_free].astype(float) for name in ("gps", "lidar")
-        )
-        assert row.gps == pytest.approx(gps.mean())
-        assert row.correlation == pytest.approx(np.corrcoef(gps, lidar)[0, 1])
-        assert row.correlation_low <= row.correlation <= row.correlation_high
-        assert row.lidar_where_gps_poor == pytest.approx(lidar[gps < 0.5].mean())
-        assert row.lidar_where_gps_good == pytest.approx(lidar[gps >= 0.5].mean())
-        assert row.either_serves == pytest.approx(100 * ((gps >= 0.5) | (lidar >= 0.5)).mean())
-
-
-def test_a_few_tiles_give_no_interval_and_a_sky_without_buildings_no_correlation():
-    maps = made_maps(100, 90)
-    few = analysis.complementarity(maps, altitudes_m=maps.altitudes_m)
-    assert few.correlation.notna().all()
-    assert few.correlation_low.isna().all()
-    maps.ds["gps"][:] = 0.95
-    maps.ds["lidar"][:] = 0.0
-    assert (
-        analysis.complementarity(maps, altitudes_m=maps.altitudes_m)[
-            ["correlation", "lidar_where_gps_poor"]
-        ]
-        .isna()
-        .all(axis=None)
-    )
 
 
 def test_the_interval_of_independent_values_is_that_of_the_normal_law():

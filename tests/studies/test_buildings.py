@@ -1,20 +1,15 @@
 """What buildings cost a route: against finite differences of the soft cost, and against the exact model."""
 
-import json
 from dataclasses import replace
 
 import jax
 import numpy as np
-import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.io.files import write_json
-from jaxurban.io.stored import RUN_FILE
 from jaxurban.maps.differentiable import SoftParams, soften
 from jaxurban.maps.run import run_scenario, tasks_of
 from jaxurban.maps.scenario import Scenario
-from jaxurban.report.buildings import write_buildings
 from jaxurban.studies.weights.buildings import building_costs
 
 SETTINGS = {
@@ -50,13 +45,11 @@ def task():
 
 
 @pytest.mark.slow
-def test_the_table_agrees_with_finite_differences_of_the_soft_cost_and_is_written_with_its_picture(
-    task, folder, route, tmp_path
-):
-    table = write_buildings(folder, route, tmp_path)
+def test_the_table_agrees_with_finite_differences_of_the_soft_cost(task, route):
     params = SoftParams(25.0, 2.0, dict(task.params.sections))
     with jax.enable_x64(True):
         soft = soften(task, dtype=np.float64)
+        table = building_costs(task.city, soft, route, params)
 
         def cost(height_m):
             return building_costs(task.city, replace(soft, height_m=height_m), route, params).attrs[
@@ -75,41 +68,21 @@ def test_the_table_agrees_with_finite_differences_of_the_soft_cost_and_is_writte
             step = 1e-5 * np.eye(len(soft.height_m))[row.building]
             slope = (cost(soft.height_m + step) - cost(soft.height_m - step)) / 2e-5
             np.testing.assert_allclose(row.per_metre, slope, rtol=1e-4, atol=1e-6)
-    pd.testing.assert_frame_equal(
-        pd.read_csv(tmp_path / "buildings.csv", index_col="rank"), table, check_like=True
-    )
-    assert len(pd.read_parquet(tmp_path / "buildings.parquet")) == len(table)
-    assert (tmp_path / "buildings.png").stat().st_size > 10_000
     lon, lat = route.lonlat[0]
     assert table.lon.between(lon - 0.02, lon + 0.02).all()
     assert table.lat.between(lat - 0.02, lat + 0.02).all()
 
 
 @pytest.mark.slow
-def test_other_sources_than_those_of_the_maps_are_refused(folder, route, tmp_path):
-    record = json.loads((folder / RUN_FILE).read_text())
-    record["inputs"]["orbits"] = {"path": "sky.tle", "sha256": "0"}
-    record["settings"]["gps"]["orbits"] = ["sky.tle"]
-    write_json(tmp_path / RUN_FILE, record)
-    with pytest.raises(ju.InputError, match=r"nowhere.* were not made by `jaxurban maps`"):
-        write_buildings(tmp_path / "nowhere", route, tmp_path)
-    with pytest.raises(ju.InputError, match=r"no longer there .*'sky.tle'"):
-        write_buildings(tmp_path, route, tmp_path)
-    (tmp_path / "sky.tle").write_text("another sky")
-    with pytest.raises(ju.InputError, match=r"no longer there .*'sky.tle'"):
-        write_buildings(tmp_path, route, tmp_path)
-
-
-@pytest.mark.slow
-def test_other_routes_weights_and_altitudes_are_refused(folder, route, task, tmp_path):
+def test_other_routes_weights_and_altitudes_are_refused(route, task):
     soft, params = soften(task), SoftParams(25.0, 2.0)
     nowhere = replace(route, status=type(route.status).NO_PATH)
     coarse = replace(route, settings={**route.settings, "resolution_m": 20.0})
     climbing = replace(route, z_m=route.z_m + np.arange(len(route.z_m)))
     high = replace(params, altitude_m=60.0)
     for sentence, call, given in (
-        ("there is no route", write_buildings, (folder, nowhere, tmp_path)),
-        ("20 m", write_buildings, (folder, coarse, tmp_path)),
+        ("there is no route", building_costs, (task.city, soft, nowhere, params)),
+        ("20.0, .* m and", building_costs, (task.city, soft, coarse, params)),
         (
             "one CRS, cell size and altitude, got .* 25.0 m and .* 60.0",
             building_costs,

@@ -32,14 +32,14 @@ def cost_of(each) -> float:
 
 
 def test_routes_come_back_from_a_file_as_they_were(small, shown, tmp_path):
-    read = ju.fit.read_demonstrations(write_geojson(tmp_path / "routes.geojson", shown), small)
+    read = ju.fit.demonstrations(write_geojson(tmp_path / "routes.geojson", shown), small)
     for one, other in zip(read, shown, strict=True):
         np.testing.assert_array_equal(one.points_m, other.points_m)
         np.testing.assert_allclose(one.features, other.features, rtol=1e-12)
         assert one.note == ""
     assert len({id(each.query.cost_map) for each in read}) == 1
     file = write_geojson(tmp_path / "routes.geojson", shown, altitude_m=None)
-    assert len(ju.fit.read_demonstrations(file, small, altitude_m=60.0)) == 4
+    assert len(ju.fit.demonstrations(file, small, altitude_m=60.0)) == 4
 
 
 def test_planned_paths_are_demonstrations_of_zero_regret_and_their_files_bring_cost_model_and_features(
@@ -50,27 +50,22 @@ def test_planned_paths_are_demonstrations_of_zero_regret_and_their_files_bring_c
     )
     queries = instances[[*IN_METRES, "altitude_m"]]
     paths = ju.plan_many(small, queries, weights=HIDDEN, cost_model="line", progress=False)
-    costs, taken = [path.cost for path in paths], ju.fit.demonstrations_from_paths(paths, small)
+    costs, taken = [path.cost for path in paths], ju.fit.demonstrations(paths, small)
     weights = HIDDEN.vector(taken[0].query.names)
     cheapest = RoutePool([each.query for each in taken]).cheapest(
         np.tile(weights, (len(taken), 1, 1))
     )[0, :, 0]
     np.testing.assert_allclose(cheapest @ weights, costs, rtol=1e-6)
-    read = ju.fit.read_demonstrations(paths.save(tmp_path / "paths.geojson"), small)
+    read = ju.fit.demonstrations(paths.save(tmp_path / "paths.geojson"), small)
     for demonstrations in (taken, read):
         np.testing.assert_allclose([cost_of(each) for each in demonstrations], costs, rtol=1e-9)
     write_path(paths[0], tmp_path / "path.geojson")
-    (read,) = ju.fit.read_demonstrations(tmp_path / "path.geojson", small)
+    (read,) = ju.fit.demonstrations(tmp_path / "path.geojson", small)
     np.testing.assert_allclose(read.features, taken[0].features, rtol=1e-12)
     assert (read.query.cost_map.cost_model.kind, read.query.cost_map.altitude_m) == (
         "line",
         paths[0].altitude_m,
     )
-    paths.save(tmp_path / "paths.csv")
-    with pytest.raises(
-        ju.InputError, match="which holds no lines: demonstrations_from_study plans its routes"
-    ):
-        ju.fit.read_demonstrations(tmp_path / "paths.csv", small)
 
 
 def test_a_drawn_line_is_followed_on_the_grid_around_obstacles_in_the_narrowest_corridor(unit):
@@ -121,9 +116,9 @@ def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are
     file = write_lines(
         tmp_path / "lines.geojson", small, (inside, goal), (away, goal), (start, goal)
     )
-    left_out = r"1 of 3 lines of '.*' were left out: line 2 \('2', from -7\d\.\d+, 40\.\d+\): it leaves the maps"
+    left_out = r"1 of 3 routes of '.*' could not be used: line 2 \('2', from -7\d\.\d+, 40\.\d+\): it leaves the maps"
     with pytest.warns(SkippedRouteWarning, match=left_out):
-        first, third = ju.fit.read_demonstrations(file, small, altitude_m=20.0)
+        first, third = ju.fit.demonstrations(file, small, altitude_m=20.0)
     assert unit.is_free[first.query.start]
     assert "The start was not free: it was moved " in first.note
     assert (first.query.name, third.query.name) == ("1", "3")

@@ -154,20 +154,13 @@ def test_the_report_holds_every_table_figure_and_sentence(study, tmp_path):
     same.loc[:, same.columns.str.startswith("w_")] = same.filter(like="w_").iloc[0].to_numpy()
     told = report_markdown(replace(study, instances=same), tables_of(study))
     assert f" Weights: distance 0.25, gps {same.w_gps.iloc[0]:g}, " in told
-    for name in (
-        "ranks",
-        "pairs",
-        "success",
-        "times",
-        "objectives",
-        "complementarity",
-    ):
+    for name in ("ranks", "pairs", "success", "times", "objectives"):
         assert (tmp_path / "tables" / f"{name}.csv").is_file()
-    for title in ("Ranks", "Cost", "GPS and lidar"):
+    for title in ("Ranks", "Cost"):
         assert f"## {title}" in report
     for picture in (tmp_path / "figures").glob("*.png"):
         assert f"figures/{picture.name}" in report
-    assert len(list((tmp_path / "figures").glob("*.png"))) == 2
+    assert len(list((tmp_path / "figures").glob("*.png"))) == 1
     assert "nan" not in report
     assert report.count("© a made city") == 1
 
@@ -182,7 +175,7 @@ def unsolved(study, where, status):
 
 def test_a_study_without_a_path_has_its_report(study, tmp_path):
     report = unsolved(study, study.rows.planner.notna(), "no-path").save(tmp_path)[-1].read_text()
-    assert "## GPS and lidar" in report
+    assert "## Ranks" not in report
     assert not (tmp_path / "figures" / "costs.png").exists()
 
 
@@ -195,11 +188,7 @@ def test_planners_that_solve_no_joined_pair_at_an_altitude_are_drawn(
     where = study.rows.planner.isin(planners) & study.rows.altitude_m.isin(altitudes_m)
     report = unsolved(study, where, "failed").save(tmp_path)[-1].read_text()
     drawn = {f"figures/{picture.name}" for picture in (tmp_path / "figures").glob("*.png")}
-    assert drawn == {
-        f"figures/{name}.png"
-        for name in ("border", "costs", "complementarity")
-        if f"/{name}." in report
-    }
+    assert drawn == {f"figures/{name}.png" for name in ("border", "costs") if f"/{name}." in report}
     assert ("figures/costs.png" in drawn) == (planners == ["ptp"])
 
 

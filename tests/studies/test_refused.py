@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.fit import FitSettings, Target, compare_fits, fit_targets, fit_weights
+from jaxurban.fit import FitSettings, Target, fit_targets, fit_weights
 from jaxurban.io.tables import write_table
 from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
 from jaxurban.studies.queries import RouteQuery, check_alike
@@ -86,7 +86,7 @@ def cities(s: Scene, *names: str):
 def routes(s: Scene, *lines_m, **how):
     """Read lines of routes from a file."""
     file = write_lines(s.tmp_path / "lines.geojson", s.small, *lines_m, **how.pop("properties", {}))
-    return ju.fit.read_demonstrations(file, s.small, **how)
+    return ju.fit.demonstrations(file, s.small, **how)
 
 
 def shown(s: Scene, **properties):
@@ -100,7 +100,7 @@ def inside(s: Scene):
     for name, value in (("roof", 99.0), ("roof_touched", 99.0), ("obstacle", 1)):
         maps.ds[name][..., 5:25, 5:25] = value
     line_m = [maps.grid.xy_of_cell(*cell) for cell in ((15, 15), (33, 30))]
-    return ju.fit.read_demonstrations(
+    return ju.fit.demonstrations(
         write_lines(s.tmp_path / "a.geojson", maps, line_m), maps, altitude_m=20.0
     )
 
@@ -125,8 +125,8 @@ def targets(s: Scene, *given):
     return fit_targets(made_queries(unit, 2), list(given))
 
 
-def compared(s: Scene, **how):
-    return compare_fits({"Aton": s.demonstrations[:4], "Beton": s.demonstrations[4:8]}, **how)
+def fitted(s: Scene, **how):
+    return fit_weights(s.demonstrations[:4], **how)
 
 
 def sensitivity(s: Scene, maps=None, goal: int = 1, **how):
@@ -211,8 +211,8 @@ ROWS = [
     ),
     ("budget_s", lambda _: FitSettings(budget_s=0)),
     ("no routes", lambda _: fit_weights([])),
-    ("hold_out must be a share", lambda s: compared(s, hold_out=1.0)),
-    ("too few to hold some out", lambda s: compared(s, hold_out=0.9)),
+    ("hold_out must be a share", lambda s: fitted(s, hold_out=1.0)),
+    ("too few to hold some out", lambda s: fitted(s, hold_out=0.9)),
     ("must read like", lambda _: Target.parse("mean_gps")),
     ("finite number", lambda _: Target.parse("detour<=x")),
     ("outcome must be 'mean_NAME of a metric', 'detour'", lambda _: Target.parse("gps>=0.8")),

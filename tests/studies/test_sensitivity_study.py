@@ -15,8 +15,7 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.maps.run import run_scenario, tasks_of
-from jaxurban.maps.sources import scenario_of
+from jaxurban.maps.run import run_scenario
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.rows import InstanceRuns, RouteRules, solve_here
 from jaxurban.report.figures.sensitivity import many_figures, plot_nearest
@@ -433,86 +432,28 @@ def test_routes_on_maps_made_anew_are_compared_both_ways(alpha):
 
 
 @pytest.fixture(scope="module")
-def of_parameters(tmp_path_factory) -> ju.studies.Sensitivity:
-    """Return a study of a town, with maps of other parameters, whose threshold of GDOP cannot be halved."""
+def of_heights(tmp_path_factory) -> ju.studies.Sensitivity:
+    """Return a study of a town, with maps of drawn heights."""
     folder = tmp_path_factory.mktemp("town")
     region = {
         "bounds": [-73.98, 40.775, -73.968, 40.785],
         "resolution_m": 25.0,
         "altitudes_m": [20],
     }
-    sections = {
-        "region": region,
-        "buildings": {"source": "synthetic"},
-        "gps": {"gdop_threshold": 1.9},
-    }
+    sections = {"region": region, "buildings": {"source": "synthetic"}}
     run_scenario(ju.Scenario.from_dict(sections), folder / "maps", progress=False)
-    chosen = ju.studies.SensitivitySettings(vary=("risk",), num_samples=0, has_parameters=True)
+    chosen = ju.studies.SensitivitySettings(vary=("risk",), num_samples=0, num_heights=1)
     how = {"weights": ju.Weights(population=5.0), "settings": chosen, "progress": False}
     return ju.studies.sensitivity({"town": folder / "maps"}, folder / "out", 9, **how)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("parameter", "factor", "section"),
-    [
-        ("risk.threshold_m", 0.5, {"risk": ju.Risk(threshold_m=25.0)}),
-        ("lidar.range_m", 2.0, {"lidar": ju.Lidar(range_m=200.0)}),
-        ("population.gamma_residential", 2.0, {"population": ju.Population(gamma_residential=1.0)}),
-    ],
-)
-def test_routes_on_maps_of_another_parameter_are_those_planned_on_maps_built_with_it(
-    of_parameters, parameter, factor, section
-):
-    nominal = of_parameters.maps["town"]
-    task = tasks_of(scenario_of(of_parameters.folder.parent / "maps"))[0]
-    gps = ju.Gps(gdop_threshold=1.9, times=nominal.times)
-    other = ju.build_maps(
-        task.city, grid=nominal.grid, altitudes_m=(20.0,), **{"gps": gps, **section}
-    )
-    name = parameter.partition(".")[0]
-    is_same = {each: nominal.ds[each].equals(other.ds[each]) for each in nominal.metrics}
-    assert [each for each in is_same if not is_same[each]] == [name]
-    rows = of_parameters.changed[of_parameters.changed.change == f"{parameter} x {factor:g}"]
-    asked = (
-        of_parameters.instances.set_index("instance")
-        .loc[rows.instance]
-        .reset_index()
-        .to_dict("records")
-    )
-    assert len(rows) == 9
-    direct = perturbed_rows(nominal, other, [instance | {"city": "a"} for instance in asked])
-    columns = ["is_other", "overlap", "nominal_regret"]
-    np.testing.assert_array_equal(rows[columns], direct[columns])
-    assert rows.is_other.sum() > 0
-
-
-@pytest.mark.slow
-def test_every_number_that_metrics_have_a_gradient_by_is_halved_and_doubled_or_it_is_said_why_not(
-    of_parameters,
-):
-    changes = set(of_parameters.changed.change) - {"time_of_day"}
-    names = ["gps.gdop_threshold", "lidar.range_m", "risk.threshold_m"]
-    names += ["population.gamma_commercial", "population.gamma_residential"]
-    asked = {f"{name} x {factor:g}" for name, factor in itertools.product(names, (0.5, 2.0))}
-    assert changes == asked - {"gps.gdop_threshold x 0.5"}
-    (reason,) = of_parameters.skipped
-    assert reason.startswith(
-        "town: gps.gdop_threshold x 0.5: gdop_threshold must be a number above 1"
-    )
-    report = (of_parameters.folder / "report.md").read_text()
-    assert reason in report
-    assert "| lidar.range_m x 2 | all | 9 |" in report
-    assert "| heights |" not in report
-
-
-@pytest.mark.slow
-def test_rows_on_changed_maps_that_are_kept_are_not_made_again(of_parameters, monkeypatch):
+def test_rows_on_changed_maps_that_are_kept_are_not_made_again(of_heights, monkeypatch):
     def refuse(task):
         raise AssertionError("these maps were made before")
 
     monkeypatch.setattr("jaxurban.studies.weights.changed_maps.compute_maps", refuse)
-    folder = of_parameters.folder
+    folder = of_heights.folder
     study = partial(
         ju.studies.sensitivity,
         {"town": folder.parent / "maps"},
@@ -521,17 +462,17 @@ def test_rows_on_changed_maps_that_are_kept_are_not_made_again(of_parameters, mo
         weights=ju.Weights(population=5.0),
         progress=False,
     )
-    again = study(settings=of_parameters.settings)
-    pd.testing.assert_frame_equal(again.changed, of_parameters.changed)
-    more = replace(of_parameters.settings, num_heights=1)
+    again = study(settings=of_heights.settings)
+    pd.testing.assert_frame_equal(again.changed, of_heights.changed)
+    more = replace(of_heights.settings, num_heights=2)
     with pytest.raises(AssertionError, match="made before"):
         study(settings=more)
 
 
-def test_routes_on_maps_without_their_sources_are_studied_but_for_other_parameters(
+def test_routes_on_maps_without_their_sources_are_studied_but_for_drawn_heights(
     alpha, weight_study, tmp_path
 ):
-    chosen = replace(WEIGHT_STUDY, vary=("risk",), num_samples=0, has_parameters=True)
+    chosen = replace(WEIGHT_STUDY, vary=("risk",), num_samples=0, num_heights=1)
     routes = weight_study.instances.query("city == 'alpha'").iloc[:1]
     found = ju.studies.sensitivity(
         {"alpha": alpha}, tmp_path, routes, settings=chosen, progress=False
@@ -570,11 +511,11 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     assert code == 0, err
     assert "| not resolved | 64 |" in (out / "report.md").read_text()
     assert json.loads(text)["statuses"] == {"optimal": 2 * 8 * 2}
-    more = ("--study", "num_samples=2,num_heights=2,has_parameters=true")
+    more = ("--study", "num_samples=2,num_heights=2")
     code, text, err = run(capsys, "sensitivity", *cities, *options, *more)
     assert code == 0, err
     told = [row for row in json.loads(text)["tables"]["changed_summary"] if row["of"] == "all"]
-    assert len(told) == 2 + 5 * 2
+    assert len(told) == 2
     heights = next(row for row in told if row["change"] == "heights")
     assert heights["is_other"] == 0, "the synthetic city knows its heights"
     assert "| heights | all |" in (out / "report.md").read_text()

@@ -1,21 +1,17 @@
 """What a Monte Carlo benchmark says: tables, each a DataFrame that a reader can check.
 
-All but `complementarity`, which is of the maps, take the rows joined with their instances (`with_instances`). A path's
-*ratio* is its cost over the cheapest one that any planner found for the same instance at the same altitude, under the
-benchmark's cost model.
+All take the rows joined with their instances (`with_instances`). A path's *ratio* is its cost over the cheapest one
+that any planner found for the same instance at the same altitude, under the benchmark's cost model.
 """
 
-from collections.abc import Sequence
 from enum import Enum
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
-from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.rows import BAD_INPUT, CRASHED, HAS_PATH
 from jaxurban.planners.base import Status
-from jaxurban.studies.bootstrap import Clusters, Interval, draws_of, interval_of, named
+from jaxurban.studies.bootstrap import Clusters, Interval, named
 from jaxurban.studies.decided import (
     Conclusion,
     Measure,
@@ -28,11 +24,6 @@ from jaxurban.studies.decided import (
 )
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
-
-SENSORS = ("gps", "lidar")  # the metrics of two sensors that may complement each other
-GOOD = 0.5  # a sensor serves where its m is at least this
-TILE_M = 500.0  # cells nearer than this are much alike, so whole tiles are drawn
-FEWEST = 0.005  # share of cells where GPS is poor, below which nothing is said about them
 
 
 def with_instances(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
@@ -141,7 +132,7 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
             has_both = runs["cost"].notna().all(axis=1) & (runs["cost"] > 0).all(axis=1)
             pairs = runs[has_both]
             row = {"planner": planner, "altitude_m": altitude_m, "pairs": len(pairs)}
-            result.append(row | _changes(pairs.astype(np.float64)))
+            result.append(row | _changes(pairs.astype(float)))
     return pd.DataFrame(result)
 
 
@@ -222,70 +213,3 @@ def conclusion(table: pd.DataFrame) -> Conclusion:
         done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --planner PLANNER",
         factor=table.instance.nunique() / max(num_joined, 1),
     )
-
-
-def complementarity(maps: MetricMaps, *, altitudes_m: Sequence[float]) -> pd.DataFrame:
-    """Return whether GPS and lidar complement each other over the free cells, the paper's main finding.
-
-    A row for each altitude, lowest first. ``gps``, ``lidar``: mean m. ``gps_serves``, ``lidar_serves``,
-    ``either_serves``: percentages of cells with m >= 0.5. ``lidar_where_gps_poor``, ``lidar_where_gps_good``: mean
-    m_lidar where m_gps < 0.5 and elsewhere. ``correlation`` of the two, with its 95 % interval (``_low``, ``_high``) by
-    the bootstrap over tiles of 500 m, the same tiles drawn at every altitude. NaN where a metric does not vary, GPS is
-    poor in fewer than 0.5 % of the cells, or there are fewer than eight tiles.
-
-    Args:
-      maps: with gps and lidar; of the GPS maps the first time counts.
-      altitudes_m: some of the maps' altitudes.
-    """
-    # [Y, X] number of each cell's tile, among those with a free cell at any altitude, and draws of these tiles.
-    side = max(1, round(TILE_M / maps.grid.resolution_m))
-    rows, cols = np.indices(maps.grid.shape, np.int32) // side
-    tile = rows * (int(cols.max()) + 1) + cols
-    is_ever_free = np.logical_or.reduce([maps.is_free(z_m, "centre") for z_m in maps.altitudes_m])
-    free_tiles = np.unique(tile[is_ever_free])
-    tile = np.searchsorted(free_tiles, tile)
-    draws = draws_of(len(free_tiles))
-
-    # The statistics of the free cells at each altitude.
-    result = []
-    for altitude_m in sorted(altitudes_m):
-        is_free = maps.is_free(altitude_m, "centre")
-        gps = maps.m("gps", altitude_m)[is_free].astype(np.float64)
-        lidar = maps.m("lidar", altitude_m)[is_free].astype(np.float64)
-
-        # The mean of m_lidar where GPS is poor and where it is good; NaN where GPS is nearly never poor, or always.
-        gps_serves, lidar_serves = gps >= GOOD, lidar >= GOOD
-        in_poor = in_good = np.nan
-        if FEWEST <= (~gps_serves).mean() < 1:
-            in_poor = lidar[~gps_serves].mean()
-            in_good = lidar[gps_serves].mean()
-        row = {
-            "altitude_m": altitude_m,
-            "gps": gps.mean(),
-            "lidar": lidar.mean(),
-            "gps_serves": 100 * gps_serves.mean(),
-            "lidar_serves": 100 * lidar_serves.mean(),
-            "either_serves": 100 * (gps_serves | lidar_serves).mean(),
-            "lidar_where_gps_poor": in_poor,
-            "lidar_where_gps_good": in_good,
-        }
-
-        # [tiles, 6] the sums over each tile from which a correlation is computed, after those of all tiles, or of the
-        # tiles of each draw, are added up.
-        parts = np.ones_like(gps), gps, lidar, gps**2, lidar**2, gps * lidar
-        of_tiles = [np.bincount(tile[is_free], part, len(free_tiles)) for part in parts]
-        sums = np.stack(of_tiles, axis=1)
-        correlation = correlation_of(sums.sum(axis=0)[None])[0]
-        interval = interval_of(correlation, correlation_of(draws @ sums), len(free_tiles))
-        result.append(row | named("correlation", interval))
-    return pd.DataFrame(result)
-
-
-def correlation_of(sums: np.ndarray) -> np.ndarray:
-    """Return ``[B]`` correlations, NaN where one is constant, from ``[B, 6]`` sums of 1, a, b, a a, b b and a b."""
-    n, a, b, aa, bb, ab = sums.T
-    n = np.maximum(n, 1.0)  # a draw of tiles without a free cell at this altitude varies in nothing
-    spread = np.maximum(aa / n - (a / n) ** 2, 0) * np.maximum(bb / n - (b / n) ** 2, 0)
-    covariance = ab / n - a * b / n**2
-    varies = spread > 1e-12
-    return np.where(varies, covariance / np.sqrt(np.where(varies, spread, 1.0)), np.nan)

@@ -1,4 +1,4 @@
-"""Weights fitted to targets: those under which routes meet them, and which targets conflict."""
+"""Weights fitted to targets: those under which routes meet them."""
 
 import itertools
 import time
@@ -28,11 +28,10 @@ from jaxurban.studies.route_pool import (
     known_route_sums,
     pool_of_fit,
 )
-from jaxurban.studies.tuning.compared_fits import split
 from jaxurban.studies.tuning.confidence import feature_units
 from jaxurban.studies.tuning.fenchel_young import adam
 from jaxurban.studies.tuning.target import DETOUR, MEAN, Target
-from jaxurban.studies.tuning.tested import tested_outcomes, wish_conclusion
+from jaxurban.studies.tuning.tested import split, tested_outcomes, wish_conclusion
 
 FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step
 FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first to the last step
@@ -58,8 +57,6 @@ class TargetFit:
       weights: they sum to 1.
       outcomes: a row per target: wished (its bound), shortest (what the shortest routes give), reached, missed_by
         (share of the bound), is_met; by planned routes, without noise.
-      alone: a row per target: the best that was reached when it was the only one.
-      conflicts: pairs of targets, each met alone or nearly so, that were not met together.
       is_met: all targets are met within 2 %.
       is_in_budget: the search ended by itself; a larger budget would find no more.
       curve: a row per round: the least loss so far, its outcomes, and the searches made.
@@ -72,15 +69,13 @@ class TargetFit:
     Examples:
       >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
       >>> fit = ju.fit.fit_targets(queries, ["detour<=0.2"], settings=ju.fit.FitSettings(max_rounds=2))
-      >>> fit.is_met, fit.conflicts, ju.plan(maps, start, goal, altitude_m=60.0, weights=fit.weights).status.value
-      (True, (), 'optimal')
+      >>> fit.is_met, ju.plan(maps, start, goal, altitude_m=60.0, weights=fit.weights).status.value
+      (True, 'optimal')
     """
 
     names: tuple[str, ...]
     weights: Weights
     outcomes: pd.DataFrame
-    alone: pd.DataFrame
-    conflicts: tuple[tuple[str, str], ...]
     is_met: bool
     is_in_budget: bool
     curve: pd.DataFrame
@@ -98,15 +93,12 @@ class TargetFit:
 
     @property
     def sentence(self) -> str:
-        """Whether all targets are met; if not, which are missed, which conflict, and whether the budget ran out."""
+        """Whether all targets are met; if not, which are missed, and whether the budget ran out."""
         if self.is_met:
             return "All targets are met on the routes that the weights were fitted to."
         rows = self.outcomes[~self.outcomes.is_met].iterrows()
         missed = [f"{target} (reached {row.reached:.4g})" for target, row in rows]
         sentence = f"Not all targets were met; the best trade-off found misses {', '.join(missed)}."
-        if self.conflicts:
-            pairs = "; ".join(f"{first} with {second}" for first, second in self.conflicts)
-            sentence += f" These conflict, as far as the search could find: {pairs}."
         if not self.is_in_budget:
             sentence += " The budget ended the search: a larger one may find better."
         return sentence
@@ -122,13 +114,13 @@ def fit_targets(
     hold_out: float | None = None,
     settings: FitSettings | None = None,
 ) -> TargetFit:
-    """Return weights under which planned routes meet targets, or the best trade-off and which targets conflict.
+    """Return weights under which planned routes meet targets, or the best trade-off between them.
 
     The sum of squared misses (each as a share of its bound) is brought down by gradient in log weights, through the
     perturbed planner over the routes found so far, with noise that shrinks, from the best of many random weights.
     Routes under the best weights are then planned without noise, and more around them, until three rounds better
-    nothing; the best weights by planned routes are returned. If they miss, each target is tried alone, and then each
-    pair of targets that can be met alone. A target that was missed may still be reachable, as the search is not exact.
+    nothing; the best weights by planned routes are returned. A target that was missed may still be reachable, as the
+    search is not exact; whether it conflicts with another one, a fit to it alone says.
 
     Args:
       queries: from `jaxurban.studies.make_queries`; lists of several maps may be joined with ``+``.
@@ -137,13 +129,12 @@ def fit_targets(
       before: the weights without the wish, whose routes are compared; `Weights()` if left out.
       hold_out: share of the queries, from 0 to 0.9, that the weights are not fitted to, to test them; left out, a
         quarter from 16 on, of fewer none. Queries between the same cells stay together.
-      settings: of the search; rounds are counted for each set of targets that is tried, the budget is for all.
+      settings: of the search.
 
     Returns:
       ``weights``, which `jaxurban.plan` takes and which sum to 1; ``is_met``, and ``sentence``, which names what is
-      missed; ``outcomes``, a row per target: its bound, what the shortest routes give, and what was reached; ``alone``,
-      the same when each target was the only one; ``conflicts``, pairs that were not met together; and ``decided``,
-      whether the targets hold on other routes and what the wish costs there (``tested``).
+      missed; ``outcomes``, a row per target: its bound, what the shortest routes give, and what was reached; and
+      ``decided``, whether the targets hold on other routes and what the wish costs there (``tested``).
 
     Raises:
       InputError: no queries or targets, a target for a metric that the maps lack, or a wrong setting.
@@ -183,7 +174,6 @@ def fit_targets(
     units = feature_units(queries, shortest[0])
     first = 1 / units if weights is None else np.maximum(weights, 1e-6)
 
-    # All targets together. Where some are missed, each of several targets alone, and then pairs of them.
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         search = _Search(
             pool,
@@ -195,14 +185,7 @@ def fit_targets(
             report=report,
         )
         search.explore()
-        best = search.run(wanted)
-        alone = [best] * len(wanted)
-        conflicts = []
-        is_met = bool(np.all(best.missed <= MET))
-        if not is_met:
-            if len(wanted) > 1:
-                alone = [search.run([target]) for target in wanted]
-            conflicts = search.conflicts(best, alone)
+        best = search.run()
         at_shortest = search.outcomes(search.shortest)
     fitted = np.exp(best.log_weights)
     fitted /= fitted.sum()
@@ -210,10 +193,8 @@ def fit_targets(
     return TargetFit(
         names=names,
         weights=weights_from(queries[0], fitted),
-        outcomes=_outcome_table(wanted, [best] * len(wanted), at_shortest),
-        alone=_outcome_table(wanted, alone, at_shortest),
-        conflicts=tuple(conflicts),
-        is_met=is_met,
+        outcomes=_outcome_table(wanted, best, at_shortest),
+        is_met=bool(np.all(best.missed <= MET)),
         curve=pd.DataFrame(best.rows),
         is_in_budget=time.perf_counter() - begin_s <= settings.budget_s,
         num_plans=pool.num_plans,
@@ -255,7 +236,7 @@ class _Aim(NamedTuple):
 
     Attributes:
       bound: ``[N]`` of each target.
-      sign: ``[N]`` +1 (at least), -1 (at most) or 0 (this target does not count).
+      sign: ``[N]`` +1 (at least) or -1 (at most).
       routes: ``[Q, R, 2 K]`` features and integrals of the known routes.
       shortest: ``[Q, 2 K]`` those of the shortest ones.
     """
@@ -267,7 +248,7 @@ class _Aim(NamedTuple):
 
 
 class _Best(NamedTuple):
-    """The best weights of one search so far.
+    """The best weights of a search so far.
 
     Attributes:
       log_weights: ``[K]``.
@@ -283,7 +264,7 @@ class _Best(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """What searches for different targets share: the routes that they find, and compiled code."""
+    """A search for weights: the routes that it finds, and what they are judged by."""
 
     pool: RoutePool
     targets: tuple[Target, ...]
@@ -293,22 +274,18 @@ class _Search(NamedTuple):
     end_s: float
     report: Report
 
-    def run(self, active: Sequence[Target]) -> _Best:
-        """Return the best weights for some of the targets; the others count as met.
+    def run(self) -> _Best:
+        """Return the best weights for the targets.
 
         Each round judges many weights over the known routes, descends from the best of them, plans routes under the
         best ends of the descents, and searches around the best weights so far. It ends after the settings' rounds, when
         no target is missed, when three rounds better nothing, or when the time is over.
-
-        Args:
-          active: the targets that count.
         """
-        # [T] of each target 1 for at least, -1 for at most and 0 where it does not count, and its bound.
-        signs = [each.sign if each in active else 0.0 for each in self.targets]
-        sign = jnp.array(signs)
+        # [T] of each target 1 for at least or -1 for at most, and its bound.
+        sign = jnp.array([target.sign for target in self.targets])
         bound = jnp.array([target.value for target in self.targets])
 
-        # Random numbers, the same for all sets of targets. Candidates spread ever less around the best weights, and
+        # Random numbers. Candidates spread ever less around the best weights, and
         # probes ever more: a standard deviation of the log weights for each of them, [C, 1] and [P, 1].
         rng = np.random.default_rng(self.settings.seed)
         num_weights = len(self.log_start)
@@ -357,24 +334,6 @@ class _Search(NamedTuple):
             near = best.log_weights + widths * rng.normal(size=(NUM_PROBES, num_weights))
             self.pool.cheapest(np.exp(near))
         return best
-
-    def conflicts(self, best: _Best, alone: Sequence[_Best]) -> list[tuple[str, str]]:
-        """Return pairs of targets, as texts, that are each met alone and not met together.
-
-        Args:
-          best: of all targets together; of two targets it is the only pair's.
-          alone: of each target when it was the only one, in their order.
-        """
-        # Each pair of targets that are met alone is tried together.
-        reachable = [index for index, result in enumerate(alone) if result.missed[index] <= MET]
-        conflicts = []
-        for pair in itertools.combinations(reachable, 2):
-            targets = [self.targets[index] for index in pair]
-            both = best if len(self.targets) == 2 else self.run(targets)
-            if both.missed[list(pair)].max() > MET:
-                first, second = map(str, targets)
-                conflicts.append((first, second))
-        return conflicts
 
     def _least(self, candidates: np.ndarray, num: int, aim: _Aim) -> np.ndarray:
         """Return ``[num, K]`` the log weights, of ``[S, K]``, whose cheapest known routes miss least."""
@@ -442,7 +401,7 @@ def _missed(values: AnyArray, aim: _Aim) -> Array:
 
     Args:
       values: ``[N]`` outcomes.
-      aim: its bounds and signs count; a target with the sign 0 counts as met.
+      aim: its bounds and signs count.
     """
     size = jnp.maximum(jnp.abs(aim.bound), 1e-3)
     return jnp.maximum(aim.sign * (aim.bound - values) / size, 0.0)
@@ -499,23 +458,20 @@ def _known_misses(candidates: Array, aim: _Aim, *, names: Any, targets: Any) -> 
     return jax.lax.map(squared, candidates, batch_size=NUM_AT_ONCE)
 
 
-def _outcome_table(
-    targets: Sequence[Target], results: Sequence[_Best], at_shortest: np.ndarray
-) -> pd.DataFrame:
+def _outcome_table(targets: Sequence[Target], best: _Best, at_shortest: np.ndarray) -> pd.DataFrame:
     """Return a row per target, indexed by its text: its bound, and what was reached and missed.
 
     Args:
       targets: ``[N]``.
-      results: of the search that counts for each target, in their order; its own entry of each is taken.
+      best: of the search.
       at_shortest: ``[N]`` the outcomes of the shortest routes.
     """
-    # The diagonal has of each search its own target.
     table = pd.DataFrame(
         {
             "wished": [target.value for target in targets],
             "shortest": at_shortest,
-            "reached": np.diag([result.reached for result in results]),
-            "missed_by": np.diag([result.missed for result in results]),
+            "reached": best.reached,
+            "missed_by": best.missed,
         },
         index=pd.Index(map(str, targets), name="wish"),
     )

@@ -1,4 +1,4 @@
-"""What a wish costs, on routes that its weights were not fitted to."""
+"""Routes that weights are not fitted to: which they are, and what a wish costs on them."""
 
 from collections.abc import Sequence
 from enum import Enum
@@ -6,9 +6,11 @@ from enum import Enum
 import numpy as np
 import pandas as pd
 
+from jaxurban.errors import InputError
 from jaxurban.studies.bootstrap import Clusters, interval_columns
 from jaxurban.studies.decided import (
     FEWEST_TO_HOLD_OUT,
+    USUAL_SHARE,
     Conclusion,
     Verdict,
     concluded,
@@ -19,6 +21,8 @@ from jaxurban.studies.queries import LENGTH, PEOPLE, RouteQuery, outcome_label, 
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.tuning.target import DETOUR, Target
 
+SPLIT = 0  # stream of random numbers
+MOST_HELD_OUT = 0.9
 UNITS = {LENGTH: "m", PEOPLE: "times the shortest routes'", DETOUR: "above the shortest routes"}
 
 
@@ -30,6 +34,42 @@ class WishVerdict(Enum):
     OPEN = "Whether {first} holds on other routes is open: {size} on {n}"
     COSTS = "With the wish {first} changes by {size} ({n})"
     UNSEEN = "Whether {first} changes with the wish is open: {size} on {n}"
+
+
+def split(city: np.ndarray, group: np.ndarray, share: float | None, seed: int) -> np.ndarray:
+    """Return ``[N]`` bool: whether each route is held out.
+
+    In every city about the given share of the groups is held out, at least one unless the share is 0. Without a share
+    it is `USUAL_SHARE` where there are `FEWEST_TO_HOLD_OUT` groups and two in every city, else 0.
+
+    Args:
+      city: ``[N]`` number of each route's city.
+      group: ``[N]`` number of each route's group, whose members stay together.
+      share: from 0 to `MOST_HELD_OUT`; None: not given.
+      seed: of the draw.
+
+    Raises:
+      InputError: a city without a group left to be fitted, or another share.
+    """
+    if share is None:
+        sizes = [len(np.unique(group[city == name])) for name in np.unique(city)]
+        share = USUAL_SHARE if sum(sizes) >= FEWEST_TO_HOLD_OUT and min(sizes) > 1 else 0.0
+    if not 0 <= share <= MOST_HELD_OUT:
+        raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {share}")
+    is_held_out = np.zeros(len(city), bool)
+    rng = np.random.default_rng([SPLIT, seed])
+    for name in dict.fromkeys(city.tolist()):
+        groups = rng.permutation(np.unique(group[city == name]))
+        num = 0
+        if share > 0:
+            num = max(1, round(share * len(groups)))
+        if num >= len(groups):
+            raise InputError(
+                f"the routes of one city join {len(groups)} pair(s) of ends, too few to hold some out: give more "
+                "routes, or a smaller share (hold_out)"
+            )
+        is_held_out |= np.isin(group, groups[:num])
+    return is_held_out
 
 
 def tested_outcomes(

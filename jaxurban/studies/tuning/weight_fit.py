@@ -1,5 +1,6 @@
 """Weights fitted to demonstrations: those under which the routes that were shown are cheapest."""
 
+import itertools
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import pandas as pd
 from jaxurban.checks import at_least, typed
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, Interval
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval
 from jaxurban.studies.decided import (
     FEWEST_TO_HOLD_OUT,
     USUAL_SHARE,
@@ -22,9 +23,17 @@ from jaxurban.studies.decided import (
 )
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import RouteQuery, check_alike, maps_of, weights_from
-from jaxurban.studies.route_pool import FitSettings
+from jaxurban.studies.route_pool import FitSettings, RoutePool
 from jaxurban.studies.tuning.confidence import FitVerdict, constant_layers, indistinct_weights
-from jaxurban.studies.tuning.weight_fit_rounds import FitUnderWay, refitted, run_rounds, scaled
+from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
+from jaxurban.studies.tuning.tested import split
+from jaxurban.studies.tuning.weight_fit_rounds import (
+    FitUnderWay,
+    city_of,
+    refitted,
+    run_rounds,
+    scaled,
+)
 
 WeightScale = Literal["simplex", "distance"]
 # Demonstrations above it on average are not optimal under any weights. Of lines that were redrawn, what redrawing adds
@@ -38,7 +47,7 @@ NEGLIGIBLE = 1e-3  # share of all metrics in the cost: without them no regret ch
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WeightFit:
-    """Weights fitted to demonstrations. ``K`` weights, ``Q`` demonstrations.
+    """Weights fitted to demonstrations. ``K`` weights, ``Q`` demonstrations that were fitted of ``N``.
 
     Attributes:
       names: ``"distance"`` and the metrics.
@@ -61,9 +70,13 @@ class WeightFit:
       num_plans: number of searches made.
       elapsed_s: wall time of this run; a resumed one takes its first searches from the state file.
       is_settled: whether the last round bettered no known route by more than 1e-5.
+      is_held_out: ``[N]`` bool: the demonstrations that the weights were not fitted to.
+      tested: by which share these cost more than the cheapest ones on average, with its interval over pairs of ends
+        (some 90 %, as regrets are skewed), bad ones left out; NaN where there are none.
+      num_tested: pairs of ends that this rests on.
 
     Examples:
-      >>> routes = ju.fit.demonstrations_from_paths([path], maps)
+      >>> routes = ju.fit.demonstrations(path, maps)
       >>> fit = ju.fit.fit_weights(routes, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=2))
       >>> dict(zip(fit.names, fit.vector.round(2).tolist(), strict=True)) == fit.table["weight"].round(2).to_dict()
       True
@@ -84,6 +97,9 @@ class WeightFit:
     num_plans: int
     elapsed_s: float
     is_settled: bool
+    is_held_out: np.ndarray
+    tested: Interval
+    num_tested: int
 
     @property
     def vector(self) -> np.ndarray:
@@ -97,8 +113,28 @@ class WeightFit:
 
     @property
     def decided(self) -> Conclusion:
-        """Which weights are known, and which are not; `compare_fits` tests them on routes that the fit did not see."""
-        return fit_conclusion(self)
+        """How far routes that were held out follow the weights, which of these are known, and which are not."""
+        needed = 0.0
+        tested = self.tested if self.num_tested else Interval(self.regret.mean(), np.nan, np.nan)
+        size, low, high = (100 * np.array(tested)).tolist()
+        if np.isnan(low):
+            needed = FEWEST_GROUPS if self.num_tested else FEWEST_TO_HOLD_OUT
+        kind = FitVerdict.UNTESTED if needed else FitVerdict.FOLLOWED
+        num = self.num_tested or len(self.regret)
+        verdicts = [Verdict(kind, (), size, low, high, num, "%", needed=needed)]
+
+        # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
+        unknown = {name for verdict in self.verdicts for name in verdict.what}
+        table = self.table.sort_values("share_of_cost", ascending=False)
+        known = table[(table.low > 0) & ~table.index.isin(unknown)]
+        verdicts += [_weight_verdict(FitVerdict.WEIGHED, row) for row in known.itertuples()]
+        verdicts += self.verdicts
+        return concluded(
+            verdicts,
+            more="jaxurban tune DIR --sample {needed} --pilot gps=1,risk=2 -o OUT",
+            factor=1 / USUAL_SHARE if self.num_tested else 1.0,
+            done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --weights ...",
+        )
 
     @property
     def cautions(self) -> list[str]:
@@ -116,6 +152,7 @@ class WeightFit:
 def fit_weights(
     demonstrations: Sequence[Demonstration],
     *,
+    hold_out: float | None = 0.0,
     scale: WeightScale = "simplex",
     bootstrap: int = 200,
     settings: FitSettings | None = None,
@@ -134,7 +171,9 @@ def fit_weights(
     is left at 0; under ``cell`` such a layer counts steps, which diagonals save, and the fit takes that into account.
 
     Args:
-      demonstrations: from `read_demonstrations` or `demonstrations_from_paths`; of one or several maps.
+      demonstrations: from `demonstrations`; of one or several maps.
+      hold_out: share of the demonstrations of each city, from 0 to 0.9, that the weights are not fitted to, to test
+        them; those between the same cells stay together. None: a quarter from 16 routes on, of fewer none.
       scale: ``"simplex"``: weights sum to 1; ``"distance"``: the distance weight is 1.
       bootstrap: fits on demonstrations drawn with replacement, for intervals, cities first where there are several; 0
         for none.
@@ -147,11 +186,11 @@ def fit_weights(
       ``warnings``, sentences on what the routes cannot say. Printed, it shows the table and the sentences.
 
     Raises:
-      InputError: no demonstrations, maps that do not go together, or a wrong setting.
+      InputError: no demonstrations, maps that do not go together, too few to hold some out, or a wrong setting.
 
     Examples:
       >>> back = ju.plan(maps, goal, start, altitude_m=60.0)
-      >>> routes = ju.fit.demonstrations_from_paths([path, back], maps)
+      >>> routes = ju.fit.demonstrations([path, back], maps)
       >>> fit = ju.fit.fit_weights(routes, bootstrap=0, settings=ju.fit.FitSettings(max_rounds=5))
       >>> fit.regret.round(2).tolist(), round(float(fit.vector.sum()), 3)
       ([0.0, 0.0], 1.0)
@@ -161,6 +200,15 @@ def fit_weights(
     at_least("bootstrap", bootstrap)
     begin_s = time.perf_counter()
     settings = settings or FitSettings()
+
+    # The demonstrations that are held out, those between the same ends together, and those that are fitted.
+    check_alike([each.query for each in demonstrations])
+    city = city_of(demonstrations)
+    ends = [(each.query.start, each.query.goal) for each in demonstrations]
+    group, _ = pd.factorize(pd.Series(list(zip(city.tolist(), ends, strict=True))))
+    is_held_out = split(city, group, hold_out, settings.seed)
+    held_out = list(itertools.compress(demonstrations, is_held_out))
+    demonstrations = list(itertools.compress(demonstrations, ~is_held_out))
 
     # The weights that can be fitted: of a layer that is the same everywhere demonstrations say nothing.
     queries = [demonstration.query for demonstration in demonstrations]
@@ -208,9 +256,15 @@ def fit_weights(
     verdict = _verdict_sentence(near_regret, bar, fit.trust, best, metric_share)
     warnings = [verdict] if min(best, near_regret.mean()) > bar else []
     warnings += _warning_sentences(demonstrations, len(names), fit.trust, is_settled)
+
+    # The regret of those that are held out. One far above the usual one of those that were fitted is bad.
+    fitted = weights_from(queries[0], table.weight.to_numpy())
+    held_out_regret = _searched_regret(held_out, fitted.vector(names))
+    is_tested = trust_of(held_out_regret, usual_regret(regret)) >= DISTRUSTED
+    group, city = (each[is_held_out][is_tested] for each in (group, city))
     return WeightFit(
         names=names,
-        weights=weights_from(queries[0], table.weight.to_numpy()),
+        weights=fitted,
         table=table,
         draws=draws,
         regret=regret,
@@ -223,7 +277,19 @@ def fit_weights(
         num_plans=fit.pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
         is_settled=is_settled,
+        is_held_out=is_held_out,
+        tested=Clusters(group, city, settings.seed).interval(held_out_regret[is_tested]),
+        num_tested=len(np.unique(group)),
     )
+
+
+def _searched_regret(demonstrations: Sequence[Demonstration], weights: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` by which share demonstrations cost more under weights ``[K]`` than the cheapest by search."""
+    if not demonstrations:
+        return np.empty(0)
+    cheapest = RoutePool([each.query for each in demonstrations]).cheapest(weights[None])[0, :, 0]
+    demo = np.array([each.features for each in demonstrations])
+    return (demo @ weights) / (cheapest @ weights) - 1
 
 
 def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str]:
@@ -254,39 +320,6 @@ def _wide_weights(table: pd.DataFrame) -> list[Verdict]:
 def _weight_verdict(kind: FitVerdict, row: Any, needed: float = 0.0) -> Verdict:
     """Return the verdict on a weight, by its row of a table."""
     return Verdict(kind, (row.Index,), row.weight, row.low, row.high, needed=needed)
-
-
-def fit_conclusion(
-    fit: WeightFit, tested: Interval | None = None, num_tested: int = 0
-) -> Conclusion:
-    """Return what a fit to routes decided: how far others follow it, and which weights they show.
-
-    Args:
-      fit: to the routes.
-      tested: mean share by which routes that it did not see cost more than the cheapest ones; None: there are none.
-      num_tested: how many these are, by pairs of ends.
-    """
-    needed = 0.0
-    percent = 100 * np.array(tested or (fit.regret.mean(), np.nan, np.nan))
-    if np.isnan(percent[1]):
-        needed = FEWEST_GROUPS if tested else FEWEST_TO_HOLD_OUT
-    kind = FitVerdict.UNTESTED if needed else FitVerdict.FOLLOWED
-    num = num_tested or len(fit.regret)
-    size, low, high = percent.tolist()
-    verdicts = [Verdict(kind, (), size, low, high, num, "%", needed=needed)]
-
-    # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
-    unknown = {name for verdict in fit.verdicts for name in verdict.what}
-    table = fit.table.sort_values("share_of_cost", ascending=False)
-    known = table[(table.low > 0) & ~table.index.isin(unknown)]
-    verdicts += [_weight_verdict(FitVerdict.WEIGHED, row) for row in known.itertuples()]
-    verdicts += fit.verdicts
-    return concluded(
-        verdicts,
-        more="jaxurban tune DIR --sample {needed} --pilot gps=1,risk=2 -o OUT",
-        factor=1 / USUAL_SHARE if tested else 1.0,
-        done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --weights ...",
-    )
 
 
 def _verdict_sentence(

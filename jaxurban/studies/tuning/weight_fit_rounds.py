@@ -237,12 +237,10 @@ def refitted(fit: FitUnderWay, scale: str, bootstrap: int) -> tuple[np.ndarray, 
       scale: of the weights, ``"simplex"`` or ``"distance"``.
       bootstrap: how many fits; with 0 the intervals are NaN.
     """
-    # [B, K] the weights of fits to demonstrations that are drawn again, cities first. A city is one set of maps.
+    # [B, K] the weights of fits to demonstrations that are drawn again, cities first.
     rng = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed])
     num = len(fit.unit)
-    cities, _ = pd.factorize(
-        np.array([id(each.query.cost_map.maps) for each in fit.demonstrations])
-    )
+    cities = city_of(fit.demonstrations)
     task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
     log_draws = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng))
     draws = np.array([scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, num)
@@ -265,6 +263,12 @@ def refitted(fit: FitUnderWay, scale: str, bootstrap: int) -> tuple[np.ndarray, 
         low = np.minimum(drawn_low, low)
         high = np.maximum(drawn_high, high)
     return draws, np.stack([low, high])
+
+
+def city_of(demonstrations: Sequence[Demonstration]) -> np.ndarray:
+    """Return ``[N]`` the number of each demonstration's city, which is one set of maps, in their order."""
+    maps = np.array([id(each.query.cost_map.maps) for each in demonstrations])
+    return pd.factorize(maps)[0]
 
 
 def scaled(weights: np.ndarray, scale: str) -> np.ndarray:

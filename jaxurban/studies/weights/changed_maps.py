@@ -1,17 +1,12 @@
-"""Routes of a weight study on changed maps: of other times, perturbed heights and other parameters of the metrics.
-
-The maps of other times are there; others are made again, with heights drawn as well as they are known, and with each
-parameter of the metrics halved and doubled.
-"""
+"""Routes of a weight study on changed maps: of other times, which are there, and of heights drawn as they are known."""
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import is_dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
-from itertools import chain, product
+from itertools import chain
 from pathlib import Path
 
-import jax
 import numpy as np
 import pandas as pd
 
@@ -36,7 +31,6 @@ from jaxurban.studies.weights.routes import (
 from jaxurban.studies.weights.settings import SensitivitySettings
 from jaxurban.studies.weights.summary import HEIGHTS
 
-PARAMETER_FACTORS = (0.5, 2.0)
 # The columns that name changed maps: what is changed, and which of several such maps it is, from 0.
 CHANGE = ("change", "draw")
 CHANGED_FOLDER = "changed"  # of the rows
@@ -76,7 +70,7 @@ def add_changed_rows(
             scenario = (scenarios or {}).get(city)
             changes = changed_maps(city, cities.sources[city], maps, job.settings, scenario, report)
             for change, draw, make in changes:
-                if isinstance(make, InputError):  # a change that a metric refuses, or lost sources
+                if isinstance(make, InputError):  # lost sources
                     skipped.append(f"{city}: {make}")
                     continue
 
@@ -118,14 +112,14 @@ def changed_maps(
       city: of the maps, for the report.
       source: of the maps, whose folder names the sources where there is no scenario.
       maps: as they are.
-      settings: of the study: how often heights are drawn, by which seed, and whether parameters change.
+      settings: of the study: how often heights are drawn, and by which seed.
       scenario: of the city, or None.
       report: of the progress.
     """
     for name in ("time", "time_of_day"):
         for step in range(1, maps.ds.sizes.get(name, 1)):
             yield name, step, partial(_moved_on, maps, name, step)
-    if not (settings.num_heights or settings.has_parameters):
+    if not settings.num_heights:
         return
     try:
         task = _map_task(source, maps, scenario)
@@ -140,14 +134,6 @@ def changed_maps(
     cities = perturbed_cities(task.city, std_m, settings.num_heights, settings.seed)
     for draw, drawn in zip(draws, cities, strict=True):
         yield HEIGHTS, draw, partial(_made, replace(plain, city=drawn))
-    names = parameters_of(task) if settings.has_parameters else ()
-    pairs = [*product(names, PARAMETER_FACTORS)]
-    for name, factor in report.over(f"maps of other parameters of {city}", pairs):
-        change = f"{name} x {factor:g}"
-        try:
-            yield change, 0, partial(_made, with_parameter(plain, name, factor))
-        except InputError as error:
-            yield change, 0, InputError(f"{change}: {error}")
 
 
 def _moved_on(maps: MetricMaps, name: str, step: int) -> MetricMaps:
@@ -171,39 +157,6 @@ def plain_task(task: MapTask) -> MapTask:
     return replace(
         task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps})
     )
-
-
-def parameters_of(task: MapTask) -> dict[str, float]:
-    """Return every number that the metrics of a task have a gradient by, as ``{"lidar.range_m": 100.0}``.
-
-    A user's own layers have none.
-    """
-    result: dict[str, float] = {}
-    for name, metric in task.metrics.items():
-        settings = task.settings_of(metric)
-        if name not in task.layers and is_dataclass(settings):
-            leaves, _ = jax.tree_util.tree_flatten_with_path(settings)
-            result |= {f"{name}.{path[0].name}": float(value) for path, value in leaves}
-    return result
-
-
-def with_parameter(task: MapTask, parameter: str, factor: float) -> MapTask:
-    """Return a task with one parameter multiplied by a factor.
-
-    Args:
-      task: stays as it is.
-      parameter: a metric and its setting, as ``"lidar.range_m"`` (see `parameters_of`).
-      factor: above 0.
-
-    Raises:
-      InputError: the metric cannot have such a value.
-    """
-    metric_name, name = parameter.split(".")
-    metric = task.metrics[metric_name]
-    settings = task.settings_of(metric)
-    settings = replace(settings, **{name: factor * getattr(settings, name)})
-    sections = {**task.params.sections, metric.section: settings}
-    return replace(task, params=replace(task.params, sections=sections))
 
 
 def _map_task(source: Source, maps: MetricMaps, scenario: Scenario | None) -> MapTask:

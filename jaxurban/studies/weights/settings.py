@@ -27,8 +27,6 @@ class SensitivitySettings:
       tolerance: of the front, a share of the cost.
       max_plans: searches that the front may take.
       num_heights: draws of all heights, on the maps of each of which every route is planned too.
-      has_parameters: also plan on maps of which one parameter of the metrics is halved or doubled: each number that
-        they have a gradient by (GDOP threshold, lidar range, risk threshold, both gammas of the population).
       seed: of the sampling of routes and weights, with the place of the city among those of the study and the route's
         number.
 
@@ -49,7 +47,6 @@ class SensitivitySettings:
     tolerance: float = 1e-3
     max_plans: int = 5000
     num_heights: int = 0
-    has_parameters: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
