@@ -662,14 +662,12 @@ TABLE: dict[str, dict[str, Any]] = {
     | MAP_OF
     | {"altitude_m": 60.0, "pilot": ju.Weights(gps=9.0), "metrics": ["risk"]},
     "fit_targets": {
-        "start": ju.Weights(risk=9.0),
         "before": ju.Weights(risk=9.0),
         "hold_out": 0.5,
         "settings": ju.fit.FitSettings(max_rounds=1, seed=3),
     },
     "fit_weights": {
         "hold_out": 0.5,
-        "scale": "distance",
         "bootstrap": 4,
         "settings": ju.fit.FitSettings(max_rounds=1, seed=3),
     },
@@ -766,9 +764,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "weights": {"risk": 9.0},
         "snap": Same("drawn ends are free; the command's row has a route of a closed one"),
         "settings": ju.studies.SensitivitySettings(vary=("risk",), num_samples=0),
-        "scenarios": Case(
-            lambda: {"town": ju.Scenario.from_toml(home() / "town.toml")}, refused="scenarios"
-        ),
         "workers": WORKERS,
         "overwrite": Same("it decides what a folder of other settings may lose"),
         "progress": PROGRESS,
@@ -1057,7 +1052,6 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--time-of-day": "night",
             "--time": "2020-04-27T16:00:00Z",
             "--resolution": "40",
-            "--fit scale": Same("the rows of fit_weights have it"),
             "--fit bootstrap": Case("0,max_rounds=2"),
             "--fit hold_out": Case("0.5,max_rounds=2,bootstrap=2"),
             "--fit max_rounds": Case("1,bootstrap=2"),

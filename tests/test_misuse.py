@@ -234,7 +234,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ),
     (
         "none such",
-        "kind sample_city.name sample_instances.weights fit_weights.scale",
+        "kind sample_city.name sample_instances.weights",
     ),
     ("none such", "OneRoute.breakpoints.name"),
     (("gps.mask_deg",), "changes"),
@@ -262,7 +262,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ),
     (
         RIGHT,
-        "sensitivity.scenarios SensitivitySettings.vary SensitivitySettings.objectives open_maps.obstacles",
+        "SensitivitySettings.vary SensitivitySettings.objectives open_maps.obstacles",
     ),
     (
         RIGHT,

@@ -1,5 +1,6 @@
 """jaxurban study."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -132,6 +133,7 @@ def study_command(
         overwrite=overwrite,
         **rules,
     )
+    result = replace(result, scenario=str(scenario_file))
     report_file = result.save(analysis)[-1]
     log_lines(result.decided.facts)
     LOG.info(f"study finished: read {report_file}")

@@ -1,7 +1,7 @@
 """jaxurban tune."""
 
 from pathlib import Path
-from typing import Any, Literal, TypedDict
+from typing import Any, TypedDict
 
 import click
 
@@ -32,7 +32,6 @@ class Fit(TypedDict):
     """How weights are fitted; what is left out is as `fit_weights` and `FitSettings` have it.
 
     Attributes:
-      scale: simplex (weights sum to 1) or distance (it has the weight 1), else what fits.
       bootstrap: number of fits for the intervals, else 200.
       hold_out: share of the routes to keep from the fit, to test it, else 0.25 from 16 routes on.
       max_rounds: most rounds of searches, else 20.
@@ -40,7 +39,6 @@ class Fit(TypedDict):
       budget_s: seconds after which no further round begins.
     """
 
-    scale: Literal["simplex", "distance"]
     bootstrap: int
     hold_out: float
     max_rounds: int

@@ -12,7 +12,6 @@ from jaxurban.errors import InputError
 from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, records_of, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.choices import RulesChoice
 from jaxurban.paths.places import snap_limit_m
@@ -51,7 +50,6 @@ def sensitivity(
     weights: WeightsLike = None,
     snap: bool | float = False,
     settings: SensitivitySettings | None = None,
-    scenarios: Mapping[str, Scenario] | None = None,
     workers: int | str = 1,
     overwrite: bool = False,
     progress: Progress = True,
@@ -79,7 +77,6 @@ def sensitivity(
       snap: move an end that is not free to the nearest free cell that is joined to the other one: False never, True by
         at most 50 m, a number by at most this many metres.
       settings: what is asked of every route, and on which changed maps.
-      scenarios: of cities whose maps are made again; left out, the record in their folder names the sources.
       workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
         the maps' folders under the same paths.
       overwrite: replace a study of other settings or routes.
@@ -111,10 +108,6 @@ def sensitivity(
     sources_by_city = named_sources(sources)
     check_workers(workers, sources_by_city.values())
     _check_routes(routes, weights)
-    if scenarios is not None and not settings.num_heights:
-        raise InputError(
-            "scenarios are for maps that are made again: leave them out, or set num_heights"
-        )
     job = WeightsJob(settings=settings, snap=snap, **values_given(rules))
     cities = open_cities(sources_by_city, job, weights)
     instances = routes_of_cities(cities, routes, altitudes_m)
@@ -159,7 +152,7 @@ def sensitivity(
         )
 
         # The rows on changed maps and why some are missing, and what only one route has.
-        changed, skipped = add_changed_rows(folder, cities, instances, scenarios, report)
+        changed, skipped = add_changed_rows(folder, cities, instances, report)
         route = None if only is None else one_route(*only, job, report)
         report("report")
         result = Sensitivity(

@@ -8,8 +8,9 @@ from pathlib import Path
 import pandas as pd
 
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.weights import Weights
 from jaxurban.paths.queries import WEIGHT_PREFIX
-from jaxurban.paths.rows import HAS_PATH, RouteRules
+from jaxurban.paths.rows import HAS_PATH
 from jaxurban.public import FactsRepr
 from jaxurban.report.figures.sensitivity import many_figures, one_figures
 from jaxurban.report.write import (
@@ -26,11 +27,12 @@ from jaxurban.report.write import (
     study_outputs,
 )
 from jaxurban.studies.bootstrap import interval_columns
-from jaxurban.studies.decided import Conclusion, concluded
+from jaxurban.studies.decided import Conclusion, concluded, wider_bounds
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
-from jaxurban.studies.queries import outcome_label, population_norms
+from jaxurban.studies.queries import outcome_label, population_norms, weights_option
 from jaxurban.studies.weights import summary
 from jaxurban.studies.weights.one_route import MORE, OneRoute
+from jaxurban.studies.weights.routes import WeightsJob
 from jaxurban.studies.weights.settings import SensitivitySettings
 from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES
 from jaxurban.studies.weights.verdicts import verdicts_of
@@ -109,7 +111,7 @@ class Sensitivity(FactsRepr):
     rows: pd.DataFrame
     skipped: tuple[str, ...]
     settings: SensitivitySettings
-    rules: RouteRules
+    rules: WeightsJob
     is_sampled: bool = True
     changed: pd.DataFrame = field(default_factory=pd.DataFrame)
     route: OneRoute | None = None
@@ -156,16 +158,29 @@ class Sensitivity(FactsRepr):
         verdicts = []
         if "weights" in self.tables:
             verdicts = verdicts_of(self.tables, self.route, self.settings)
+        # The options of this study, of other routes.
         folders = " ".join(str(maps.folder or "DIR") for maps in self.maps.values())
-        command = f"jaxurban sensitivity {folders} --routes"
+        altitudes = ",".join(f"{z:g}" for z in sorted(self.instances.altitude_m.unique()))
+        low, high = self.settings.factors
+        options = f"--altitude {altitudes} --range {low:g},{high:g}"
+        if self.settings.vary:
+            options += f" --vary {','.join(self.settings.vary)}"
+        weights = shared_weights(self.instances)
+        if weights is not None:
+            options += f" --weights {weights_option(weights)}"
+        if self.rules.snap:
+            options += " --snap"
+        command = f"jaxurban sensitivity {folders} {options} -o {self.folder}-more --routes"
         others = f"{command} {MORE_ROUTES}"
         if self.is_sampled:  # other routes than these
             others += f" --study seed={self.settings.seed + 1}"
+        first = next(iter(self.maps.values()))
         return concluded(
             verdicts,
             more=command + " {needed}",
             done=others,
-            wider='jaxurban maps SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
+            wider=f"jaxurban maps SCENARIO -o {first.folder or 'DIR'}-wider --set "
+            f'"region.bounds={wider_bounds(first.grid)}"',
             factor=1 / len(self.maps),
         )
 
@@ -280,7 +295,9 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         sobol = tables["sobol_summary"]
         total = sobol[sobol.kind == "total"]
         share = interval_columns("share")
-        shown = total[["outcome", "weight_name", *share, "verdict", "samples_needed"]].copy()
+        shown = total[
+            ["outcome", "weight_name", "routes", *share, "verdict", "samples_needed"]
+        ].copy()
         shown[share] = shown[share].where(total.verdict == CLEAR)
         result["sobol"] = shown.assign(outcome=total.outcome.map(outcome_label))
     if "changed_summary" in tables:
@@ -296,11 +313,15 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
 
 def weights_said(instances: pd.DataFrame) -> str:
     """Return the weights that all instances share, by name; where they differ, words that say where they stand."""
-    columns = list(weight_columns(weighed_metrics(instances.columns)))
-    weights = instances[columns]
-    if len(weights.drop_duplicates()) > 1:
+    weights = shared_weights(instances)
+    if weights is None:
         return Markdown("those of each route (`instances.parquet`)")
-    first = weights.iloc[0].items()
-    return ", ".join(
-        f"{str(name).removeprefix(WEIGHT_PREFIX)} {weight:g}" for name, weight in first
-    )
+    return ", ".join(f"{name} {weight:g}" for name, weight in weights.to_dict().items())
+
+
+def shared_weights(instances: pd.DataFrame) -> Weights | None:
+    """Return the weights that all instances share; None where they differ."""
+    weights = instances[list(weight_columns(weighed_metrics(instances.columns)))]
+    if len(weights.drop_duplicates()) > 1:
+        return None
+    return Weights(**weights.iloc[0].rename(lambda name: name.removeprefix(WEIGHT_PREFIX)))

@@ -35,7 +35,7 @@ from jaxurban.studies.demonstrations import (
     optimal_demonstrations,
 )
 from jaxurban.studies.montecarlo.sampling import sample_instances
-from jaxurban.studies.queries import maps_of
+from jaxurban.studies.queries import maps_of, plan_command, weights_option
 from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.study_demonstrations import demonstrations
 from jaxurban.studies.tuning.target import Target
@@ -59,7 +59,7 @@ class TuneSettings:
         their own.
       targets: bounds on outcomes, such as ``mean_gps>=0.8``, that weights are fitted to; empty: weights are fitted to
         the routes.
-      fits: further arguments of `fit_weights` or `fit_targets`: hold_out, scale, bootstrap.
+      fits: further arguments of `fit_weights` or `fit_targets`: hold_out, bootstrap.
       fit: settings of the search.
     """
 
@@ -233,7 +233,7 @@ def outputs_of(
     first = next(iter(pictures.values()))
     vector = fit.weights.vector(fit.names)
     num_held_out = int(fit.is_held_out.sum())
-    fields: dict[str, Any] = {**texts, "num_held_out": num_held_out}
+    fields = dict[str, Any](texts)
     routes = compared_demonstrations(demonstrated, planned)
     tables = {}
     outputs: Outputs = {"learning_curve": fit.curve}
@@ -246,6 +246,7 @@ def outputs_of(
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
         fields["cautions"] = bullets(fit.cautions)
+        fields["held_out"] = fill("held_out", fit=fit) if num_held_out else ""
     else:
         template = "targets"
         noun = "usual route"
@@ -281,7 +282,10 @@ def outputs_of(
         overlap=routes["overlap"].mean(),
         pictures=paragraphs(*(Markdown(f"![Routes](figures/{name}.png)") for name in pictures)),
         use=fill(
-            "use_weights", unit=first, option=weights_option(fit.weights), where=_where(first)
+            "use_weights",
+            unit=first,
+            command=plan_command(planned[0].query, fit.weights),
+            where=_where(first),
         ),
         **fields,
     )
@@ -341,11 +345,6 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "is_met": fit.is_met,
         "outcomes": fit.outcomes.reset_index().to_dict("records"),
     }
-
-
-def weights_option(weights: Weights) -> str:
-    """Return weights as ``--weights`` takes them."""
-    return ",".join(f"{name}={value:.6g}" for name, value in weights.to_dict().items())
 
 
 def weights_toml(fit: WeightFit | TargetFit, cost_map: CostMap) -> str:

@@ -14,6 +14,7 @@ Student's t widens for few groups.
 
 import itertools
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -48,7 +49,7 @@ class SharedVerdict(Enum):
     EQUAL = "{what} are equal in {measure} on all {n}"
     TIED = "{what} cannot be told apart in {measure} ({last} over {first}: {size}, {n})"
     BORDER = (
-        "{count:,} of {n} come within {cells} cells of the border of the maps' data, away from their ends: whether the "
+        "{which} within {cells} cells of the border of the maps' data, away from their ends: whether the "
         "border made them is not decided by more routes, but by maps of wider bounds"
     )
 
@@ -90,12 +91,13 @@ class Verdict:
     def sentence(self) -> str:
         """The record in words, without a full stop; if it is not decided, with the number of runs that would do."""
         *most, last = self.what or ("",)
+        noun = self.noun if self.n != 1 else singular(self.noun)
         words = {
             "what": f"{', '.join(most)} and {last}" if most else last,
             "first": self.what[0] if self.what else "",
             "last": last,
             "size": sized(self.size, self.low, self.high, self.unit),
-            "n": f"{self.n:,} {self.noun}",
+            "n": f"{self.n:,} {noun}",
         }
         sentence = self.kind.value.format_map({**words, **self.facts})
         if self.is_decided or math.isnan(self.needed):
@@ -164,6 +166,11 @@ def sized(value: float, low: float, high: float, unit: str = "") -> str:
     numbers = [f"{round(each, decimals) + 0.0:,.{decimals}f}" for each in (value, low, high)]
     text = f"{numbers[0]} {unit}".strip()
     return text if math.isnan(half) else f"{text} ({numbers[1]} to {numbers[2]})"
+
+
+def singular(noun: str) -> str:
+    """Return the word for one of what a noun names, as ``pair of ends`` for ``pairs of ends``."""
+    return re.sub(r"s\b", "", noun, count=1)
 
 
 def runs_needed(size: float, low: float, high: float, n: int) -> float:
@@ -418,6 +425,15 @@ def is_at_edge(points_m: np.ndarray, grid: Grid, band: np.ndarray, cells: int = 
     return bool(band[rows, cols].any())
 
 
+def wider_bounds(grid: Grid) -> str:
+    """Return bounds a quarter wider to each side, as ``--set region.bounds=`` takes them."""
+    west, south, east, north = grid.bounds_m
+    x_m = (east - west) / 4
+    y_m = (north - south) / 4
+    corners_m = np.array([(west - x_m, south - y_m), (east + x_m, north + y_m)])
+    return str(grid.lonlat_at(corners_m).ravel().round(4).tolist())
+
+
 def border_verdict(
     is_pinned: np.ndarray, noun: str = "routes", cells: int = EDGE_CELLS
 ) -> list[Verdict]:
@@ -431,6 +447,9 @@ def border_verdict(
     count = int(np.sum(is_pinned))
     if not count:
         return []
-    facts = {"count": count, "cells": cells}
     n = len(is_pinned)
+    which = f"{count:,} of {n:,} {noun} come"
+    if n == 1:
+        which = f"The {singular(noun)} comes"
+    facts = {"which": which, "count": count, "cells": cells}
     return [Verdict(SharedVerdict.BORDER, n=n, noun=noun, needed=math.nan, facts=facts)]

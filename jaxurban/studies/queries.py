@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
@@ -17,6 +18,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.places import Point
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
+from jaxurban.world.grid import Grid
 
 LENGTH, PEOPLE = "length_m", "people"
 # Label and unit of the outcomes that are not means.
@@ -203,6 +205,29 @@ def population_norms(maps: MetricMaps) -> dict[str, float]:
             norms = np.atleast_1d(maps.ds.attrs[name]).astype(float)
             return dict(zip(maps.times_of_day, norms.tolist(), strict=False))
     return {}
+
+
+def ends_option(grid: Grid, ends_m: ArrayLike) -> str:
+    """Return start and goal ``[2, 2]``, easting and northing in the grid's CRS, as commands take them."""
+    lonlat = grid.lonlat_at(np.asarray(ends_m))
+    start, goal = (",".join(f"{degrees:.6f}" for degrees in end) for end in lonlat.tolist())
+    return f"--start {start} --goal {goal}"
+
+
+def plan_command(query: RouteQuery, weights: Weights) -> str:
+    """Return the command that plans the route of a query under weights."""
+    cost_map = query.cost_map
+    ends_m = [cost_map.grid.xy_of_cell(*cell) for cell in (query.start, query.goal)]
+    return (
+        f"jaxurban plan {cost_map.maps.folder or 'DIR'} {ends_option(cost_map.grid, ends_m)} "
+        f"--altitude {cost_map.altitude_m:g} --rules cost_model={cost_map.cost_model.kind} "
+        f"--weights {weights_option(weights)}"
+    )
+
+
+def weights_option(weights: Weights) -> str:
+    """Return weights as ``--weights`` takes them."""
+    return ",".join(f"{name}={value:.6g}" for name, value in weights.to_dict().items())
 
 
 def outcome_names(names: Sequence[str]) -> tuple[str, ...]:

@@ -50,9 +50,11 @@ from jaxurban.report.figures.style import (
     styled,
 )
 from jaxurban.report.write import Figures, Look, joined_with_and
+from jaxurban.studies.decided import edge_band, is_at_edge
 from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.summary import ALL
 
+DOTTED = (0, (1, 1))
 MOST_ROUTES = 10  # along the range of one weight
 GIVEN_STAR: Look = {"color": "#c51b8a", "markersize": 11.0, "markeredgecolor": INK}
 GIVEN_ROUTE: Look = HALO | {  # dark with a white edge, so that it is seen over all colours
@@ -136,7 +138,7 @@ def plot_breakpoint_routes(route: OneRoute) -> Figure:
 
     A route has the colour of the geometric middle of the values at which it is the cheapest, as a multiple of the given
     weight; later routes are thinner, so that earlier ones are seen below them. Of more than `MOST_ROUTES` some are left
-    out, evenly. The route under the given weights is dashed.
+    out, evenly. The route under the given weights is dashed, and those along the border of the maps are dotted.
     """
     low, high = route.factors
 
@@ -169,11 +171,13 @@ def plot_breakpoint_routes(route: OneRoute) -> Figure:
         legend=[
             *obstacle_patches(maps, BLOCKED_COLOUR, panels_of),
             Line2D([], [], label="given weights", **GIVEN_ROUTE),
+            Line2D([], [], label="along the border of the maps", color=INK, linestyle=DOTTED),
             *ENDS,
         ],
         colours=colours,
     )
 
+    band = edge_band(maps)
     for panel, name in zip(axes, route.lines, strict=True):
         draw_ends(panel, [path])
 
@@ -185,9 +189,12 @@ def plot_breakpoint_routes(route: OneRoute) -> Figure:
         widths = np.linspace(3.2, 1.4, len(shown))
         for number, colour, width in zip(shown, colours(middle)[shown], widths, strict=True):
             edge = [withStroke(linewidth=width + 2 * EDGE_PT, foreground="white")]
+            xy_m = route.line_routes[name][number]
+            at_edge = is_at_edge(xy_m - maps.grid.bounds_m[:2], maps.grid, band)
             panel.plot(
-                *route.line_routes[name][number].T,
+                *xy_m.T,
                 color=colour,
+                linestyle=DOTTED if at_edge else "-",
                 linewidth=width,
                 path_effects=edge,
                 zorder=4,

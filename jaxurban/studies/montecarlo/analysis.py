@@ -9,6 +9,8 @@ from typing import Any
 
 import pandas as pd
 
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.queries import IN_METRES
 from jaxurban.paths.rows import BAD_INPUT, CRASHED, HAS_PATH
 from jaxurban.planners.base import Status
 from jaxurban.studies.bootstrap import Clusters, Interval, named
@@ -21,9 +23,11 @@ from jaxurban.studies.decided import (
     concluded,
     effects,
     ranked,
+    wider_bounds,
 )
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
+from jaxurban.studies.queries import ends_option
 
 
 def with_instances(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
@@ -193,11 +197,16 @@ def best_rows(table: pd.DataFrame) -> pd.DataFrame:
     return rows.loc[rows.groupby(KEY).cost.idxmin()]
 
 
-def conclusion(table: pd.DataFrame) -> Conclusion:
+def conclusion(
+    table: pd.DataFrame, instances: pd.DataFrame, maps: MetricMaps, scenario: str
+) -> Conclusion:
     """Return what a benchmark decided: the planners' ranks, and how many routes the border may have made.
 
     Args:
       table: from `with_instances`.
+      instances: of the benchmark.
+      maps: of the benchmark.
+      scenario: file that a larger benchmark is run from.
     """
     verdicts: list[Verdict] = []
     rankings_of = rankings(table)
@@ -206,10 +215,16 @@ def conclusion(table: pd.DataFrame) -> Conclusion:
     num_joined = max((ranking.n for ranking in rankings_of.values()), default=0)
     best = best_rows(table)
     verdicts += border_verdict(best.at_edge.to_numpy() == 1)
+    planner = str(table.planner.iloc[0])
+    if rankings_of:
+        planner = rankings_of["cost"].names[0].partition(" = ")[0]
+    first = instances.iloc[0]
+    ends = ends_option(maps.grid, first[[*IN_METRES]].to_numpy(float).reshape(2, 2))
+    folder = maps.folder or "DIR"
     return concluded(
         verdicts,
-        more="jaxurban study SCENARIO -o DIR --set study.instances={needed}",
-        wider='jaxurban study SCENARIO -o DIR --set "region.bounds=[WEST, SOUTH, EAST, NORTH]"',
-        done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --planner PLANNER",
+        more=f"jaxurban study {scenario} -o {folder} --set study.instances={{needed}}",
+        wider=f'jaxurban study {scenario} -o {folder}-wider --set "region.bounds={wider_bounds(maps.grid)}"',
+        done=f"jaxurban plan {folder} {ends} --altitude {first.altitude_m:g} --planner {planner}",
         factor=table.instance.nunique() / max(num_joined, 1),
     )

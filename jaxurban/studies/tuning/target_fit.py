@@ -65,6 +65,7 @@ class TargetFit:
       is_held_out: ``[Q]`` bool: the queries that the weights were not fitted to.
       tested: on those queries, or on all where none is held out: what routes are like without the wish and with it, a
         row per target and then per other outcome (`jaxurban.studies.tuning.tested.tested_outcomes`).
+      queries: all ``Q``.
 
     Examples:
       >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
@@ -84,12 +85,13 @@ class TargetFit:
     targets: tuple[Target, ...]
     is_held_out: np.ndarray
     tested: pd.DataFrame
+    queries: tuple[RouteQuery, ...]
 
     @property
     def decided(self) -> Conclusion:
         """Whether the targets hold on other routes, and what the wish costs in every other layer."""
-        num = len(self.is_held_out)
-        return wish_conclusion(self.tested, self.targets, int(self.is_held_out.sum()), num)
+        num = int(self.is_held_out.sum())
+        return wish_conclusion(self.tested, self.targets, num, self.queries, self.weights)
 
     @property
     def sentence(self) -> str:
@@ -109,7 +111,6 @@ def fit_targets(
     queries: Sequence[RouteQuery],
     targets: Sequence[Target | str],
     *,
-    start: Weights | None = None,
     before: Weights | None = None,
     hold_out: float | None = None,
     settings: FitSettings | None = None,
@@ -125,7 +126,6 @@ def fit_targets(
     Args:
       queries: from `jaxurban.studies.make_queries`; lists of several maps may be joined with ``+``.
       targets: bounds on outcomes, or texts such as ``"mean_gps>=0.8"``.
-      start: where to begin; equal shares of the shortest routes' cost if left out.
       before: the weights without the wish, whose routes are compared; `Weights()` if left out.
       hold_out: share of the queries, from 0 to 0.9, that the weights are not fitted to, to test them; left out, a
         quarter from 16 on, of fewer none. Queries between the same cells stay together.
@@ -154,10 +154,10 @@ def fit_targets(
     settings = settings or FitSettings()
     names = check_alike(queries)
     wanted = _wanted(targets, names)
-    weights = None if start is None else start.vector(names)
     group, _ = pd.factorize(pd.Series([(query.start, query.goal) for query in queries]))
     is_held_out = split(np.zeros(len(queries)), group, hold_out, settings.seed)
     held_out = list(itertools.compress(queries, is_held_out))
+    every = tuple(queries)
     queries = list(itertools.compress(queries, ~is_held_out))
     pool = pool_of_fit(
         settings,
@@ -165,14 +165,14 @@ def fit_targets(
         fit="targets",
         targets=[str(target) for target in wanted],
         max_rounds=settings.max_rounds,
-        start=None if weights is None else weights.tolist(),
+        start=None,
     )
 
-    # [2, Q, K] features and integrals of the shortest routes, and the weights to begin with: those of the caller, or
-    # weights under which each layer has an equal share of the cost of the shortest routes.
+    # [2, Q, K] features and integrals of the shortest routes, and the weights to begin with, under which each layer has
+    # an equal share of the cost of the shortest routes.
     shortest = pool.cheapest(np.eye(len(names))[:1])[:, :, 0]
     units = feature_units(queries, shortest[0])
-    first = 1 / units if weights is None else np.maximum(weights, 1e-6)
+    first = 1 / units
 
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         search = _Search(
@@ -202,6 +202,7 @@ def fit_targets(
         targets=wanted,
         is_held_out=is_held_out,
         tested=tested_outcomes(held_out or queries, wanted, np.stack([without, fitted])),
+        queries=every,
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
+from jaxurban.metrics.weights import Weights
 from jaxurban.studies.bootstrap import Clusters, interval_columns
 from jaxurban.studies.decided import (
     FEWEST_TO_HOLD_OUT,
@@ -17,7 +18,14 @@ from jaxurban.studies.decided import (
     effects,
     runs_needed,
 )
-from jaxurban.studies.queries import LENGTH, PEOPLE, RouteQuery, outcome_label, outcomes_of
+from jaxurban.studies.queries import (
+    LENGTH,
+    PEOPLE,
+    RouteQuery,
+    outcome_label,
+    outcomes_of,
+    plan_command,
+)
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.tuning.target import DETOUR, Target
 
@@ -29,10 +37,11 @@ UNITS = {LENGTH: "m", PEOPLE: "times the shortest routes'", DETOUR: "above the s
 class WishVerdict(Enum):
     """What is decided of a wish."""
 
+    KEPT = "{first} held before the fit, on average of these routes ({before:.3g}), and holds with it: {size} ({n})"
     HOLDS = "{first} holds on routes that the weights were not fitted to: {size} ({n})"
     MISSED = "{first} is missed on routes that the weights were not fitted to: {size} ({n})"
     OPEN = "Whether {first} holds on other routes is open: {size} on {n}"
-    COSTS = "With the wish {first} changes by {size} ({n})"
+    COSTS = "With the wish {first} changes by {size}, on one route by {largest:.3g} ({n})"
     UNSEEN = "Whether {first} changes with the wish is open: {size} on {n}"
 
 
@@ -78,8 +87,9 @@ def tested_outcomes(
     """Return what routes are like without a wish and with it: a row per target, then per other outcome.
 
     ``what`` is the target or the outcome; ``without_wish`` and ``with_wish`` are means over the queries, in ``unit``,
-    the latter with its interval; ``change`` with its interval; ``n``, the number of pairs of ends; and how many would
-    decide whether a target holds, else whether the outcome changes (``needed``). All intervals hold at once.
+    the latter with its interval; ``change`` with its interval; ``largest``, the change of the route that changes most;
+    ``n``, the number of pairs of ends; and how many would decide whether a target holds, else whether the outcome
+    changes (``needed``). All intervals hold at once.
 
     Args:
       queries: ``Q``, which the weights were not fitted to, or were.
@@ -98,10 +108,12 @@ def tested_outcomes(
     wished = [target.outcome for target in targets]
     outcomes = [*wished, *(name for name in values if name not in (*wished, DETOUR))]
     _, before, after = np.transpose([values[name] for name in outcomes], (2, 0, 1))
+    changes = after - before
     group, _ = pd.factorize(pd.Series([(query.start, query.goal) for query in queries]))
-    table = effects(np.vstack([after, after - before]).T, Clusters(group))
+    table = effects(np.vstack([after, changes]).T, Clusters(group))
     reached, change = np.split(table[["size", "low", "high"]].to_numpy(), 2)
     num = table.n[: len(outcomes)]
+    largest = np.take_along_axis(changes, np.abs(changes).argmax(axis=1)[:, None], axis=1)[:, 0]
     needed = table.needed[len(outcomes) :].to_numpy(copy=True)
     for number, target in enumerate(targets):
         size, low, high = reached[number] - target.value
@@ -113,6 +125,7 @@ def tested_outcomes(
             "without_wish": before.mean(axis=1),
             **dict(zip(interval_columns("with_wish"), reached.T, strict=True)),
             **dict(zip(interval_columns("change"), change.T, strict=True)),
+            "largest": largest,
             "n": num,
             "needed": needed,
         }
@@ -120,7 +133,11 @@ def tested_outcomes(
 
 
 def wish_conclusion(
-    tested: pd.DataFrame, targets: Sequence[Target], num_held_out: int, num: int
+    tested: pd.DataFrame,
+    targets: Sequence[Target],
+    num_held_out: int,
+    queries: Sequence[RouteQuery],
+    weights: Weights,
 ) -> Conclusion:
     """Return what a fit to targets decided.
 
@@ -128,7 +145,8 @@ def wish_conclusion(
       tested: from `tested_outcomes`.
       targets: of the fit.
       num_held_out: routes of the test that the fit did not see; 0: it saw all, so that nothing is decided.
-      num: routes in all.
+      queries: all, held out or not.
+      weights: of the fit.
     """
     verdicts = []
     for number, row in enumerate(tested.to_dict("records")):
@@ -143,14 +161,23 @@ def wish_conclusion(
             name, label = "with_wish", str(target)
             is_kept = target.sign * (row[name] - target.value) > 0
             kind = WishVerdict.HOLDS if is_kept else WishVerdict.MISSED
+            if is_kept and target.sign * (row["without_wish"] - target.value) >= 0:
+                kind = WishVerdict.KEPT
             if needed:
                 kind = WishVerdict.OPEN
         size, low, high = (row[column] for column in interval_columns(name))
         num_pairs, unit, noun = row["n"], row["unit"], "pairs of ends"
-        verdicts.append(Verdict(kind, (label,), size, low, high, num_pairs, unit, noun, needed))
+        facts = {"before": row["without_wish"], "largest": row["largest"]}
+        about = size, low, high, num_pairs, unit, noun, needed, facts
+        verdicts.append(Verdict(kind, (label,), *about))
+    cost_map = queries[0].cost_map
+    wishes = " ".join(f'--wish "{target}"' for target in targets)
+    metrics = ",".join(cost_map.names)
+    folder = cost_map.maps.folder or "DIR"
     return concluded(
         verdicts,
-        more='jaxurban tune DIR --sample {needed} --wish "..." -o OUT',
-        factor=num / (num_held_out or num),
-        done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --weights ...",
+        more=f"jaxurban tune {folder} --sample {{needed}} {wishes} --metrics {metrics} "
+        f"--altitude {cost_map.altitude_m:g} -o {folder}-wish",
+        factor=len(queries) / (num_held_out or len(queries)),
+        done=plan_command(queries[0], weights),
     )

@@ -4,7 +4,7 @@ import itertools
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,13 +16,11 @@ from jaxurban.progress import reporting
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval
 from jaxurban.studies.decided import (
     FEWEST_TO_HOLD_OUT,
-    USUAL_SHARE,
     Conclusion,
     Verdict,
-    concluded,
 )
 from jaxurban.studies.demonstrations import Demonstration
-from jaxurban.studies.queries import RouteQuery, check_alike, maps_of, weights_from
+from jaxurban.studies.queries import RouteQuery, check_alike, maps_of, plan_command, weights_from
 from jaxurban.studies.route_pool import FitSettings, RoutePool
 from jaxurban.studies.tuning.confidence import FitVerdict, constant_layers, indistinct_weights
 from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
@@ -35,7 +33,6 @@ from jaxurban.studies.tuning.weight_fit_rounds import (
     scaled,
 )
 
-WeightScale = Literal["simplex", "distance"]
 # Demonstrations above it on average are not optimal under any weights. Of lines that were redrawn, what redrawing adds
 # is left out first; among routes at any angle another one is the cheapest than on the grid, by less than the second.
 OPTIMAL_REGRET, OPTIMAL_DRAWN_REGRET = 0.005, 0.01
@@ -51,7 +48,7 @@ class WeightFit:
 
     Attributes:
       names: ``"distance"`` and the metrics.
-      weights: of the given scale; 0 for a metric whose weight cannot be identified.
+      weights: they sum to 1; 0 for a metric whose weight cannot be identified.
       table: a row for each weight, by its name. ``weight``; ``low`` and ``high``, the 5th and the 95th percentile over
         bootstrap fits, widened to all weights that explain the demonstrations as well (of lines that were redrawn on
         the grid: that explain any routes within 3 cells of them as well), NaN without bootstrap; ``share_of_cost``, the
@@ -74,6 +71,7 @@ class WeightFit:
       tested: by which share these cost more than the cheapest ones on average, with its interval over pairs of ends
         (some 90 %, as regrets are skewed), bad ones left out; NaN where there are none.
       num_tested: pairs of ends that this rests on.
+      query: of the first demonstration, which an example of the weights' use plans.
 
     Examples:
       >>> routes = ju.fit.demonstrations(path, maps)
@@ -100,6 +98,7 @@ class WeightFit:
     is_held_out: np.ndarray
     tested: Interval
     num_tested: int
+    query: RouteQuery
 
     @property
     def vector(self) -> np.ndarray:
@@ -129,12 +128,7 @@ class WeightFit:
         known = table[(table.low > 0) & ~table.index.isin(unknown)]
         verdicts += [_weight_verdict(FitVerdict.WEIGHED, row) for row in known.itertuples()]
         verdicts += self.verdicts
-        return concluded(
-            verdicts,
-            more="jaxurban tune DIR --sample {needed} --pilot gps=1,risk=2 -o OUT",
-            factor=1 / USUAL_SHARE if self.num_tested else 1.0,
-            done="jaxurban plan DIR --start LON,LAT --goal LON,LAT --weights ...",
-        )
+        return Conclusion(tuple(verdicts), plan_command(self.query, self.weights))
 
     @property
     def cautions(self) -> list[str]:
@@ -153,7 +147,6 @@ def fit_weights(
     demonstrations: Sequence[Demonstration],
     *,
     hold_out: float | None = 0.0,
-    scale: WeightScale = "simplex",
     bootstrap: int = 200,
     settings: FitSettings | None = None,
 ) -> WeightFit:
@@ -166,7 +159,7 @@ def fit_weights(
     costlier than most are trusted less (a redescending weight on their regret), so that some detours do not bend the
     fit.
 
-    Only the direction of W can be found; its length is set by ``scale``. The weight of a layer that is constant
+    Only the direction of W can be found; weights sum to 1. The weight of a layer that is constant
     over the maps cannot be identified, and ``unidentified`` says so: under ``line`` (or where it costs nothing) it
     is left at 0; under ``cell`` such a layer counts steps, which diagonals save, and the fit takes that into account.
 
@@ -174,7 +167,6 @@ def fit_weights(
       demonstrations: from `demonstrations`; of one or several maps.
       hold_out: share of the demonstrations of each city, from 0 to 0.9, that the weights are not fitted to, to test
         them; those between the same cells stay together. None: a quarter from 16 routes on, of fewer none.
-      scale: ``"simplex"``: weights sum to 1; ``"distance"``: the distance weight is 1.
       bootstrap: fits on demonstrations drawn with replacement, for intervals, cities first where there are several; 0
         for none.
       settings: of the search. The noise shrinks over 7 rounds, patience with far costlier demonstrations over 6 more;
@@ -221,17 +213,17 @@ def fit_weights(
     # intervals.
     fit = FitUnderWay(demonstrations, is_fitted, settings)
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
-        curve, is_settled = run_rounds(fit, settings, scale, begin_s, report)
+        curve, is_settled = run_rounds(fit, settings, begin_s, report)
         regret = fit.searched_regret(fit.log_weights)
         best = fit.least_mean_regret(float(regret.mean()))
-        draws, interval = refitted(fit, scale, bootstrap)
+        draws, interval = refitted(fit, bootstrap)
 
     # What each weight costs on average, and how much that differs between demonstrations.
     cost = fit.weights * fit.demo.mean(axis=0)
     spread = fit.weights * fit.demo.std(axis=0)
     table = pd.DataFrame(
         {
-            "weight": scaled(fit.weights, scale),
+            "weight": scaled(fit.weights),
             "low": interval[0],
             "high": interval[1],
             "share_of_cost": cost / cost.sum(),
@@ -280,6 +272,7 @@ def fit_weights(
         is_held_out=is_held_out,
         tested=Clusters(group, city, settings.seed).interval(held_out_regret[is_tested]),
         num_tested=len(np.unique(group)),
+        query=queries[0],
     )
 
 

@@ -198,14 +198,13 @@ class FitUnderWay:
 
 
 def run_rounds(
-    fit: FitUnderWay, settings: FitSettings, scale: str, begin_s: float, report: Report
+    fit: FitUnderWay, settings: FitSettings, begin_s: float, report: Report
 ) -> tuple[pd.DataFrame, bool]:
     """Run rounds of a fit until one betters no known route, or until the allowed rounds or seconds are used up.
 
     Args:
       fit: before its first round; it changes.
       settings: of the search.
-      scale: of the weights in the curve, ``"simplex"`` or ``"distance"``.
       begin_s: reading of `time.perf_counter` from which seconds count.
       report: of the progress.
 
@@ -217,7 +216,7 @@ def run_rounds(
     for number in range(settings.max_rounds):
         row = fit.run_round(number)
         row["elapsed_s"] = time.perf_counter() - begin_s
-        rows.append(row | dict(zip(fit.pool.names, scaled(fit.weights, scale), strict=True)))
+        rows.append(row | dict(zip(fit.pool.names, scaled(fit.weights), strict=True)))
         report("rounds", number + 1, loss=f"{row['loss']:.3g}", searches=row["num_plans"])
         if row["worst_gap"] <= SETTLED and number + 1 >= least_rounds:
             return pd.DataFrame(rows), True
@@ -226,7 +225,7 @@ def run_rounds(
     return pd.DataFrame(rows), False
 
 
-def refitted(fit: FitUnderWay, scale: str, bootstrap: int) -> tuple[np.ndarray, np.ndarray]:
+def refitted(fit: FitUnderWay, bootstrap: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the weights ``[B, K]`` of bootstrap fits, and the lower and upper ends ``[2, K]`` of their intervals.
 
     An interval reaches from the 5th to the 95th percentile, and as far as weights explain the demonstrations as well as
@@ -234,7 +233,6 @@ def refitted(fit: FitUnderWay, scale: str, bootstrap: int) -> tuple[np.ndarray, 
 
     Args:
       fit: when it has ended.
-      scale: of the weights, ``"simplex"`` or ``"distance"``.
       bootstrap: how many fits; with 0 the intervals are NaN.
     """
     # [B, K] the weights of fits to demonstrations that are drawn again, cities first.
@@ -243,20 +241,19 @@ def refitted(fit: FitUnderWay, scale: str, bootstrap: int) -> tuple[np.ndarray, 
     cities = city_of(fit.demonstrations)
     task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
     log_draws = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng))
-    draws = np.array([scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, num)
+    draws = np.array([scaled(fit.weights_of(row)) for row in log_draws]).reshape(-1, num)
     if not bootstrap:
         return draws, np.full((2, num), np.nan)
 
-    # [2, K] the range of weights that explain the demonstrations as well, among those with the sum 1 or the distance
-    # weight 1: 0 to 0 where a weight is not fitted, and found in the units of the task.
+    # [2, K] the range of weights that explain the demonstrations as well, among those with the sum 1: 0
+    # to 0 where a weight is not fitted, and found in the units of the task.
     is_fitted = fit.is_fitted
     unit = fit.unit[is_fitted]
-    sides = np.ones(num) if scale == "simplex" else np.eye(num)[0]
     least = np.array([each.least_features for each in fit.demonstrations])
     task = fit.task_without_noise()._replace(demo=(least / fit.unit)[:, is_fitted])
     in_units = (fit.weights * fit.unit)[is_fitted]
     ends = np.zeros((2, num))
-    ends[:, is_fitted] = near_optimal_range(in_units, task, sides[is_fitted] / unit, SETTLED) / unit
+    ends[:, is_fitted] = near_optimal_range(in_units, task, 1 / unit, SETTLED) / unit
     low, high = ends
     if len(draws):
         drawn_low, drawn_high = np.percentile(draws, [5, 95], axis=0)
@@ -271,6 +268,6 @@ def city_of(demonstrations: Sequence[Demonstration]) -> np.ndarray:
     return pd.factorize(maps)[0]
 
 
-def scaled(weights: np.ndarray, scale: str) -> np.ndarray:
-    """Return weights ``[K]`` that sum to 1 (``"simplex"``), or of which the distance's is 1 (``"distance"``)."""
-    return weights / (weights.sum() if scale == "simplex" else weights[0])
+def scaled(weights: np.ndarray) -> np.ndarray:
+    """Return weights ``[K]`` that sum to 1."""
+    return weights / weights.sum()

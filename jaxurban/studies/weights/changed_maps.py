@@ -1,7 +1,7 @@
 """Routes of a weight study on changed maps: of other times, which are there, and of heights drawn as they are known."""
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import chain
@@ -16,7 +16,6 @@ from jaxurban.maps.build import compute_maps
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.run import tasks_of
-from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.sources import scenario_of
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.uncertain_heights import perturbed_cities
@@ -41,7 +40,6 @@ def add_changed_rows(
     folder: Path,
     cities: Cities,
     instances: pd.DataFrame,
-    scenarios: Mapping[str, Scenario] | None,
     report: Report,
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """Make the rows of routes on changed maps that a study lacks, and keep them in its folder.
@@ -52,7 +50,6 @@ def add_changed_rows(
       folder: of the study.
       cities: of the study; the settings of their job say which changes are wanted.
       instances: its routes, with a column ``city``.
-      scenarios: by city; for a city without one the record in the maps' folder names the sources.
       report: of the progress.
 
     Returns:
@@ -67,8 +64,7 @@ def add_changed_rows(
         for city, maps in cities.maps.items():
             of_city = instances[instances.city == city]
             nominal_at = lru_cache(maxsize=1)(partial(job.cost_map, maps))
-            scenario = (scenarios or {}).get(city)
-            changes = changed_maps(city, cities.sources[city], maps, job.settings, scenario, report)
+            changes = changed_maps(city, cities.sources[city], maps, job.settings, report)
             for change, draw, make in changes:
                 if isinstance(make, InputError):  # lost sources
                     skipped.append(f"{city}: {make}")
@@ -100,7 +96,6 @@ def changed_maps(
     source: Source,
     maps: MetricMaps,
     settings: SensitivitySettings,
-    scenario: Scenario | None,
     report: Report,
 ) -> Iterator[tuple[str, int, MakeMaps | InputError]]:
     """Yield of each change of maps its name and number (`CHANGE`), and what makes them, or the error why none does.
@@ -110,10 +105,9 @@ def changed_maps(
 
     Args:
       city: of the maps, for the report.
-      source: of the maps, whose folder names the sources where there is no scenario.
+      source: of the maps, whose folder names the sources.
       maps: as they are.
       settings: of the study: how often heights are drawn, and by which seed.
-      scenario: of the city, or None.
       report: of the progress.
     """
     for name in ("time", "time_of_day"):
@@ -122,7 +116,7 @@ def changed_maps(
     if not settings.num_heights:
         return
     try:
-        task = _map_task(source, maps, scenario)
+        task = _map_task(source, maps)
     except InputError as error:
         LOG.warning(f"no other maps of {city} are made: {error}")
         yield "", 0, error
@@ -159,23 +153,19 @@ def plain_task(task: MapTask) -> MapTask:
     )
 
 
-def _map_task(source: Source, maps: MetricMaps, scenario: Scenario | None) -> MapTask:
+def _map_task(source: Source, maps: MetricMaps) -> MapTask:
     """Return the task that makes the maps of a city, its sources read again.
 
     Args:
-      source: of the maps, whose folder names the sources where there is no scenario.
+      source: of the maps, whose folder names the sources.
       maps: the task makes the same grid and the same metrics.
-      scenario: of the city, or None.
 
     Raises:
       InputError: sources that are unknown or gone, or those of other maps.
     """
-    if scenario is None:
-        if isinstance(source, MetricMaps):
-            raise InputError(
-                "maps in memory do not name their sources: give the scenario, or a folder of maps"
-            )
-        scenario = scenario_of(Path(source.folder))
+    if isinstance(source, MetricMaps):
+        raise InputError("maps in memory do not name their sources: give a folder of maps")
+    scenario = scenario_of(Path(source.folder))
     with warnings.catch_warnings(
         action="ignore", category=GuessWarning
     ):  # reported when the maps were made

@@ -6,7 +6,6 @@ drawn.
 """
 
 from collections.abc import Callable, Iterator
-from itertools import groupby
 from operator import itemgetter
 from typing import Any
 
@@ -24,7 +23,6 @@ DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "d
 ALL = "all"
 CUTS = ("city", "altitude_m", "stratum", "range", "time", "time_of_day")
 OVER_CITIES = "over cities"
-OTHERS = "others"
 CLEAR, UNCLEAR = "clear", "not distinguishable from 0"
 TOO_FEW, CONSTANT = "too few routes", "does not vary"
 UNRESOLVED = "not resolved"
@@ -110,21 +108,11 @@ def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.S
 def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """Yield the parts of a table of weights: what the table is cut by, the value of the part, and the part.
 
-    First the whole table, then the parts of each cut (`parts_of`). Parts with fewer than `FEWEST_RUNS` routes are
-    merged into one, the value `OTHERS` and theirs, which is left out where it has too few too, or is the whole table.
+    First the whole table, then the parts of each cut (`parts_of`); those with fewer than `FEWEST_RUNS` routes are left
+    out.
     """
     yield ALL, ALL, table
-    for cut, parts in groupby(parts_of(table), key=itemgetter(0)):
-        small = {}
-        for _, value, part in parts:
-            if num_routes(part) < FEWEST_RUNS:
-                small[value] = part
-            else:
-                yield cut, value, part
-        if len(small) > 1:
-            others = pd.concat(small.values())
-            if FEWEST_RUNS <= num_routes(others) < num_routes(table):
-                yield cut, f"{OTHERS}: {', '.join(small)}", others
+    yield from (part for part in parts_of(table) if num_routes(part[-1]) >= FEWEST_RUNS)
 
 
 def parts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
@@ -287,6 +275,8 @@ def _verdict(share: Interval, num_routes: int) -> str:
 def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
     """Return how far routes change on other maps: rows for all routes, each city and each altitude, of each ``change``.
 
+    Parts with fewer than `FEWEST_RUNS` routes are left out.
+
     All draws of heights count together, and their intervals are of draws and of routes at once. The columns are the
     means of the columns of `jaxurban.studies.weights.routes.OnChangedMaps`.
 
@@ -300,6 +290,8 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
             if cut != ALL and of_change[cut].nunique() == 1:
                 continue
             for value, part in of_change.groupby(cut, sort=False):
+                if cut != ALL and num_routes(part) < FEWEST_RUNS:
+                    continue
                 head = {"change": change, "cut": cut, "of": _text_of(value)}
                 rows.append(head | _changes_of(part))
     return pd.DataFrame(rows)
