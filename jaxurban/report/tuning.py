@@ -246,7 +246,7 @@ def outputs_of(
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
         fields["cautions"] = bullets(fit.cautions)
-        fields["held_out"] = fill("held_out", fit=fit) if num_held_out else ""
+        fields["held_out"] = fill("held_out", num=num_held_out, fit=fit) if num_held_out else ""
     else:
         template = "targets"
         noun = "usual route"

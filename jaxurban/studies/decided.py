@@ -49,8 +49,8 @@ class SharedVerdict(Enum):
     EQUAL = "{what} are equal in {measure} on all {n}"
     TIED = "{what} cannot be told apart in {measure} ({last} over {first}: {size}, {n})"
     BORDER = (
-        "{which} within {cells} cells of the border of the maps' data, away from their ends: whether the "
-        "border made them is not decided by more routes, but by maps of wider bounds"
+        "{which} within {cells} cells of the border of the maps' data, away from the ends: whether the "
+        "border made this is not decided by more routes, but by maps of wider bounds"
     )
 
 
@@ -448,8 +448,7 @@ def border_verdict(
     if not count:
         return []
     n = len(is_pinned)
-    which = f"{count:,} of {n:,} {noun} come"
-    if n == 1:
-        which = f"The {singular(noun)} comes"
+    which = f"{count:,} of {n:,} {noun}" if n > 1 else f"the {singular(noun)}"
+    which += " comes" if count == 1 else " come"
     facts = {"which": which, "count": count, "cells": cells}
     return [Verdict(SharedVerdict.BORDER, n=n, noun=noun, needed=math.nan, facts=facts)]

@@ -1,10 +1,12 @@
 """jaxurban tune: what it writes, how it resumes, and what it refuses."""
 
 import json
+import shlex
 import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -78,6 +80,8 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
         "risk",
     ]
 
+    code, _, err = run(capsys, *shlex.split(facts["decided"]["lines"]["next"])[1:])
+    assert code == 0, err
     again = facts_of(capsys, *made, "-o", out, "--fit", "bootstrap=20")
     assert (again["weights"], again["decided"]) == (facts["weights"], facts["decided"])
     assert_refused(
@@ -111,6 +115,10 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     assert len(pd.read_csv(tmp_path / "out" / "targets.csv")) == 2
     tested = pd.read_csv(tmp_path / "out" / "tested.csv").set_index("what")
     assert [*tested.index] == ["mean_gps >= 0.999", "detour <= 0.3", "length_m"]
+    assert np.all(tested.largest.abs() >= tested.change.abs())
+    first = facts["decided"]["lines"]["decided"]
+    assert first.startswith("detour <= 0.3 is met without the wish already: ")
+    assert first.count(";") == 0
     assert "Means over 4 routes, of which the fit saw none" in report
     assert "as given" not in report
 

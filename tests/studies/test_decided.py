@@ -131,9 +131,16 @@ def test_a_route_is_at_the_border_away_from_its_ends_alone():
     assert edge_band(maps)[10, 17:].all()
 
 
+def test_one_route_is_called_so():
+    (verdict,) = border_verdict(np.array([True]))
+    assert verdict.sentence.startswith("the route comes within 3 cells of the border")
+    one = Verdict(Kind.MORE, ("a", "b"), 1.3, n=1, noun="pairs of ends")
+    assert one.sentence.endswith("(1 pair of ends)")
+
+
 def test_the_border_is_not_decided_by_more_routes():
     (verdict,) = border_verdict(np.array([True, False, False]))
-    assert verdict.sentence.startswith("1 of 3 routes come within 3 cells of the border")
+    assert verdict.sentence.startswith("1 of 3 routes comes within 3 cells of the border")
     assert not verdict.is_decided
     assert border_verdict(np.zeros(3, bool)) == []
     conclusion = concluded([verdict], more="{needed} more", done="done", wider="wider")

@@ -302,7 +302,7 @@ def test_weights_that_cannot_be_told_apart_share_a_rank_and_routes_along_the_bor
     assert said(table.assign(more_at_edge=0.0), 1.0)[SharedVerdict.BORDER].facts["count"] == 3
 
 
-def test_strata_with_fewer_than_ten_routes_are_merged_or_left_out_and_named():
+def test_strata_with_fewer_than_ten_routes_are_left_out_and_named():
     table = made_weights(gps=0.01)
     table["range"] = np.select(
         [table.instance < 30, table.instance < 33, table.instance < 36],
@@ -311,12 +311,8 @@ def test_strata_with_fewer_than_ten_routes_are_merged_or_left_out_and_named():
     )
     rows = summarise(table, 2.0)
     of_range = rows[rows.cut == "range"].set_index("value").routes.to_dict()
-    assert of_range == {"long": 60, "others: far, middle, short": 20}
+    assert of_range == {"long": 60}
     assert small_parts(table) == ["far (8)", "middle (6)", "short (6)"]
-    table["range"] = np.where(table.instance < 37, "long", "short")
-    rows = summarise(table, 2.0)
-    assert rows[rows.cut == "range"].value.tolist() == ["long"]
-    assert small_parts(table) == ["short (6)"]
 
 
 def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():

@@ -30,20 +30,20 @@ class FitVerdict(Enum):
     """What a fit to routes decides, and what the routes cannot say."""
 
     FOLLOWED = (
-        "Routes that the fit did not see cost {size} more than the cheapest under the weights ({n})"
+        "routes that the fit did not see cost {size} more than the cheapest under the weights ({n})"
     )
-    UNTESTED = "How much more than the cheapest other routes cost is open: {size} on {n}"
-    WEIGHED = "The weight of {first} is {size}"
+    UNTESTED = "how much more than the cheapest other routes cost is open: {size} on {n}"
+    WEIGHED = "the weight of {first} is {size}"
     CONSTANT = "{first} is the same everywhere on these maps: its weight cannot be identified and is left at 0"
     STEPS = (
         "{first} is the same everywhere on these maps: its weight cannot be identified and stands for the steps that "
         "diagonals save under the cost model 'cell'"
     )
-    WIDE = "The weight of {first} is hardly pinned down, as others move with it: {size}"
-    UNSEEN = "The weight of {first} cannot be identified: no competing route differs in it"
-    MIXED = "The weights of {what} cannot be distinguished: {num} of their mixtures change no comparison"
+    WIDE = "the weight of {first} is hardly pinned down, as others move with it: {size}"
+    UNSEEN = "the weight of {first} cannot be identified: no competing route differs in it"
+    MIXED = "the weights of {what} cannot be distinguished: {num} of their mixtures change no comparison"
     ONE_RATE = (
-        "The weights of {what} cannot be distinguished: competing routes trade them at one rate"
+        "the weights of {what} cannot be distinguished: competing routes trade them at one rate"
     )
 
 

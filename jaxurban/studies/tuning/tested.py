@@ -31,18 +31,19 @@ from jaxurban.studies.tuning.target import DETOUR, Target
 
 SPLIT = 0  # stream of random numbers
 MOST_HELD_OUT = 0.9
+PAIRS = "pairs of ends"
 UNITS = {LENGTH: "m", PEOPLE: "times the shortest routes'", DETOUR: "above the shortest routes"}
 
 
 class WishVerdict(Enum):
     """What is decided of a wish."""
 
-    KEPT = "{first} held before the fit, on average of these routes ({before:.3g}), and holds with it: {size} ({n})"
+    BEFORE = "{first} is met without the wish already: {size} on average of {n}"
     HOLDS = "{first} holds on routes that the weights were not fitted to: {size} ({n})"
     MISSED = "{first} is missed on routes that the weights were not fitted to: {size} ({n})"
-    OPEN = "Whether {first} holds on other routes is open: {size} on {n}"
-    COSTS = "With the wish {first} changes by {size}, on one route by {largest:.3g} ({n})"
-    UNSEEN = "Whether {first} changes with the wish is open: {size} on {n}"
+    OPEN = "whether {first} holds on other routes is open: {size} on {n}"
+    COSTS = "with the wish {first} changes by {size}, on one route by {largest:.3g} ({n})"
+    UNSEEN = "whether {first} changes with the wish is open: {size} on {n}"
 
 
 def split(city: np.ndarray, group: np.ndarray, share: float | None, seed: int) -> np.ndarray:
@@ -148,6 +149,7 @@ def wish_conclusion(
       queries: all, held out or not.
       weights: of the fit.
     """
+    met = []
     verdicts = []
     for number, row in enumerate(tested.to_dict("records")):
         needed = row["needed"]
@@ -161,13 +163,15 @@ def wish_conclusion(
             name, label = "with_wish", str(target)
             is_kept = target.sign * (row[name] - target.value) > 0
             kind = WishVerdict.HOLDS if is_kept else WishVerdict.MISSED
-            if is_kept and target.sign * (row["without_wish"] - target.value) >= 0:
-                kind = WishVerdict.KEPT
             if needed:
                 kind = WishVerdict.OPEN
+            before = row["without_wish"]
+            if target.sign * (before - target.value) >= 0:
+                already = before, np.nan, np.nan, row["n"], row["unit"], PAIRS
+                met.append(Verdict(WishVerdict.BEFORE, (label,), *already))
         size, low, high = (row[column] for column in interval_columns(name))
-        num_pairs, unit, noun = row["n"], row["unit"], "pairs of ends"
-        facts = {"before": row["without_wish"], "largest": row["largest"]}
+        num_pairs, unit, noun = row["n"], row["unit"], PAIRS
+        facts = {"largest": row["largest"]}
         about = size, low, high, num_pairs, unit, noun, needed, facts
         verdicts.append(Verdict(kind, (label,), *about))
     cost_map = queries[0].cost_map
@@ -175,7 +179,7 @@ def wish_conclusion(
     metrics = ",".join(cost_map.names)
     folder = cost_map.maps.folder or "DIR"
     return concluded(
-        verdicts,
+        [*met, *verdicts],
         more=f"jaxurban tune {folder} --sample {{needed}} {wishes} --metrics {metrics} "
         f"--altitude {cost_map.altitude_m:g} -o {folder}-wish",
         factor=len(queries) / (num_held_out or len(queries)),

@@ -108,7 +108,8 @@ class WeightFit:
     @property
     def unidentified(self) -> tuple[str, ...]:
         """Sentences on weights that the demonstrations say nothing about."""
-        return tuple(f"{verdict.sentence}." for verdict in self.verdicts)
+        sentences = [verdict.sentence for verdict in self.verdicts]
+        return tuple(f"{each[:1].upper()}{each[1:]}." for each in sentences)
 
     @property
     def decided(self) -> Conclusion:

@@ -42,7 +42,7 @@ class WeightVerdict(Enum):
         "{first} matters more than {last}, by {size} where they are {wrong:g} times wrong ({n})"
     )
     TIED = "which of {what} matters more ({first} over {last}: {size}, {n})"
-    COSTS = "{first} {wrong:g} times wrong costs {size}: {paid} (means of {n})"
+    COSTS = "{first} {wrong:g} times wrong makes routes cost {size} more: {paid} (means of {n})"
     NO_CHANGE = "no factor of {what} from {low:g} to {high:g} changes any of {n}"
     OTHER_WAY = (
         "{first} times {factor:.3g} sends the drone another way: {paid}, at {size} more cost"
@@ -52,10 +52,7 @@ class WeightVerdict(Enum):
         "at {size} more cost"
     )
     NO_WAY = "no factor of {what} from {low:g} to {high:g} sends the drone another way"
-    OTHER_MAPS = (
-        "on maps with {first} {size} of the routes are others, and keeping a route there costs "
-        "{kept:.2g} % more ({n})"
-    )
+    OTHER_MAPS = "with {first} {size} of the routes change, and keeping a route there costs {kept:.2g} % more ({n})"
     ONE_ROUTE = "whether other routes change at these factors, which one route cannot say"
 
 
@@ -111,7 +108,7 @@ def _ranks(weights: pd.DataFrame, settings: SensitivitySettings) -> Iterator[Ver
     for row in rows:
         more = varied[varied.weight_name == row.Index].mean(numeric_only=True)
         facts = wrong | {"paid": paid_said(more)}
-        about = row.size, row.low, row.high, row.n, OF_COST, "routes", row.needed
+        about = row.size, row.low, row.high, row.n, "%", "routes", row.needed
         yield Verdict(WeightVerdict.COSTS, (row.Index,), *about, facts)
     if dead:
         yield Verdict(
