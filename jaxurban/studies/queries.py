@@ -21,8 +21,8 @@ from jaxurban.planners.base import Cell, Problem
 from jaxurban.world.grid import Grid
 
 LENGTH, PEOPLE = "length_m", "people"
-# Label and unit of the outcomes that are not means.
-PLAIN = {LENGTH: ("length", "m"), PEOPLE: ("population crossed", "m at the highest density")}
+# Labels of the outcomes that are not means.
+PLAIN = {LENGTH: "length", PEOPLE: "population crossed"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,14 +239,9 @@ def outcome_names(names: Sequence[str]) -> tuple[str, ...]:
 def outcome_label(outcome: str) -> str:
     """Return what tables and figures call an outcome."""
     if outcome in PLAIN:
-        return PLAIN[outcome][0]
+        return PLAIN[outcome]
     metric = outcome.removeprefix("mean_")
     return METRICS[metric].label if metric in METRICS else metric
-
-
-def outcome_unit(outcome: str) -> str:
-    """Return the unit of an outcome."""
-    return PLAIN[outcome][1] if outcome in PLAIN else "mean m along the route"
 
 
 def outcomes_of(integrals: Float[AnyArray, "*N K"], names: Sequence[str]) -> dict[str, Any]:

@@ -142,7 +142,7 @@ def test_the_weight_of_a_constant_layer_is_said_to_be_unknown_and_bends_no_other
 @pytest.mark.slow
 def test_two_layers_that_are_one_cannot_be_told_apart(small):
     _, fit = fitted(ju.MetricMaps(small.ds.assign(risk=small.ds["lidar"])), max_rounds=3)
-    sentence = "The weights of lidar and risk cannot be distinguished: competing routes trade them at one rate."
+    sentence = "the weights of lidar and risk cannot be distinguished: competing routes trade them at one rate."
     assert sentence in fit.unidentified
 
 

@@ -108,8 +108,7 @@ class WeightFit:
     @property
     def unidentified(self) -> tuple[str, ...]:
         """Sentences on weights that the demonstrations say nothing about."""
-        sentences = [verdict.sentence for verdict in self.verdicts]
-        return tuple(f"{each[:1].upper()}{each[1:]}." for each in sentences)
+        return tuple(f"{verdict.sentence}." for verdict in self.verdicts)
 
     @property
     def decided(self) -> Conclusion:
