@@ -40,6 +40,7 @@ MAP_M, PATH_M = (
     (10.0, 20.0) if IS_SMALL else (2.0, 5.0)
 )  # the paper's cells: of its maps, of its paths
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
+GOOD = 0.5  # a sensor serves where its m is at least this
 DRAWN_M = ALTITUDES_M[:3]  # of the paper's maps; at 600 m they are of one colour
 BOUNDS = (-74.03, 40.68, -73.9107, 40.86)  # the paper's region: 10 x 20 km around Manhattan
 CRS = "EPSG:32618"  # of all that is drawn of New York

@@ -4,6 +4,7 @@ import numpy as np
 
 from figures.paper.common import (
     ALTITUDES_M,
+    GOOD,
     MANHATTAN,
     Caption,
     Town,
@@ -15,7 +16,6 @@ from figures.paper.common import (
 from jaxurban.knowledge import GuessKind
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
-from jaxurban.studies.montecarlo.analysis import GOOD
 
 PAPER = (
     "Maps without a number. Accuracy is highest over the river, over Central Park and over low houses, and low among "

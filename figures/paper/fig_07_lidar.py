@@ -2,10 +2,9 @@
 
 import math
 
-from figures.paper.common import Caption, Town, draw_metric, in_strata, means, shares
+from figures.paper.common import GOOD, Caption, Town, draw_metric, in_strata, means, shares
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.studies.montecarlo.analysis import GOOD
 
 PAPER = (
     "Maps without a number. Lidar is best low down: at 20 m in the dense high-rise quarters, weak over low and "

@@ -35,7 +35,7 @@ from jaxurban.studies.demonstrations import (
     optimal_demonstrations,
 )
 from jaxurban.studies.montecarlo.sampling import sample_instances
-from jaxurban.studies.queries import maps_of, plan_command, weights_option
+from jaxurban.studies.queries import command_to_plan, maps_of, weights_option
 from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.study_demonstrations import demonstrations
 from jaxurban.studies.tuning.target import Target
@@ -284,7 +284,7 @@ def outputs_of(
         use=fill(
             "use_weights",
             unit=first,
-            command=plan_command(planned[0].query, fit.weights),
+            command=command_to_plan(planned[0].query, fit.weights),
             where=_where(first),
         ),
         **fields,

@@ -214,7 +214,7 @@ def ends_option(grid: Grid, ends_m: ArrayLike) -> str:
     return f"--start {start} --goal {goal}"
 
 
-def plan_command(query: RouteQuery, weights: Weights) -> str:
+def command_to_plan(query: RouteQuery, weights: Weights) -> str:
     """Return the command that plans the route of a query under weights."""
     cost_map = query.cost_map
     ends_m = [cost_map.grid.xy_of_cell(*cell) for cell in (query.start, query.goal)]

@@ -22,9 +22,9 @@ from jaxurban.studies.queries import (
     LENGTH,
     PEOPLE,
     RouteQuery,
+    command_to_plan,
     outcome_label,
     outcomes_of,
-    plan_command,
 )
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.tuning.target import DETOUR, Target
@@ -183,5 +183,5 @@ def wish_conclusion(
         more=f"jaxurban tune {folder} --sample {{needed}} {wishes} --metrics {metrics} "
         f"--altitude {cost_map.altitude_m:g} -o {folder}-wish",
         factor=len(queries) / (num_held_out or len(queries)),
-        done=plan_command(queries[0], weights),
+        done=command_to_plan(queries[0], weights),
     )

@@ -20,14 +20,14 @@ from jaxurban.studies.decided import (
     Verdict,
 )
 from jaxurban.studies.demonstrations import Demonstration
-from jaxurban.studies.queries import RouteQuery, check_alike, maps_of, plan_command, weights_from
+from jaxurban.studies.queries import RouteQuery, check_alike, command_to_plan, maps_of, weights_from
 from jaxurban.studies.route_pool import FitSettings, RoutePool
 from jaxurban.studies.tuning.confidence import FitVerdict, constant_layers, indistinct_weights
 from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
 from jaxurban.studies.tuning.tested import split
 from jaxurban.studies.tuning.weight_fit_rounds import (
     FitUnderWay,
-    city_of,
+    city_numbers,
     refitted,
     run_rounds,
     scaled,
@@ -128,7 +128,7 @@ class WeightFit:
         known = table[(table.low > 0) & ~table.index.isin(unknown)]
         verdicts += [_weight_verdict(FitVerdict.WEIGHED, row) for row in known.itertuples()]
         verdicts += self.verdicts
-        return Conclusion(tuple(verdicts), plan_command(self.query, self.weights))
+        return Conclusion(tuple(verdicts), command_to_plan(self.query, self.weights))
 
     @property
     def cautions(self) -> list[str]:
@@ -195,7 +195,7 @@ def fit_weights(
 
     # The demonstrations that are held out, those between the same ends together, and those that are fitted.
     check_alike([each.query for each in demonstrations])
-    city = city_of(demonstrations)
+    city = city_numbers(demonstrations)
     ends = [(each.query.start, each.query.goal) for each in demonstrations]
     group, _ = pd.factorize(pd.Series(list(zip(city.tolist(), ends, strict=True))))
     is_held_out = split(city, group, hold_out, settings.seed)

@@ -238,7 +238,7 @@ def refitted(fit: FitUnderWay, bootstrap: int) -> tuple[np.ndarray, np.ndarray]:
     # [B, K] the weights of fits to demonstrations that are drawn again, cities first.
     rng = np.random.default_rng([IN_BOOTSTRAP, 0, fit.seed])
     num = len(fit.unit)
-    cities = city_of(fit.demonstrations)
+    cities = city_numbers(fit.demonstrations)
     task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
     log_draws = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng))
     draws = np.array([scaled(fit.weights_of(row)) for row in log_draws]).reshape(-1, num)
@@ -262,7 +262,7 @@ def refitted(fit: FitUnderWay, bootstrap: int) -> tuple[np.ndarray, np.ndarray]:
     return draws, np.stack([low, high])
 
 
-def city_of(demonstrations: Sequence[Demonstration]) -> np.ndarray:
+def city_numbers(demonstrations: Sequence[Demonstration]) -> np.ndarray:
     """Return ``[N]`` the number of each demonstration's city, which is one set of maps, in their order."""
     maps = np.array([id(each.query.cost_map.maps) for each in demonstrations])
     return pd.factorize(maps)[0]
