@@ -21,6 +21,7 @@ from scipy.ndimage import gaussian_filter
 import jaxurban as ju
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.studies.bootstrap import Clusters
+from jaxurban.studies.conclusions import runs_needed
 from jaxurban.studies.decided import (
     FEWEST_GROUPS,
     Measure,
@@ -29,7 +30,6 @@ from jaxurban.studies.decided import (
     edge_band,
     is_at_edge,
     ranked,
-    runs_needed,
 )
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool

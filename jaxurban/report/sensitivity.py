@@ -27,7 +27,8 @@ from jaxurban.report.write import (
     study_outputs,
 )
 from jaxurban.studies.bootstrap import interval_columns
-from jaxurban.studies.decided import Conclusion, concluded, wider_bounds
+from jaxurban.studies.conclusions import Conclusion, concluded
+from jaxurban.studies.decided import wider_bounds
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.queries import outcome_label, population_norms, weights_option
 from jaxurban.studies.weights import summary

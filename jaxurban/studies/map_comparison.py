@@ -26,7 +26,8 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.settings import iso_utc
 from jaxurban.studies.bootstrap import Clusters
 from jaxurban.studies.compared_routes import compared_routes
-from jaxurban.studies.decided import Conclusion, Verdict, border_verdict, concluded, effects, sized
+from jaxurban.studies.conclusions import Conclusion, Verdict, concluded, sized
+from jaxurban.studies.decided import border_verdict, effects
 
 CELLS = ("y", "x")
 SAME = 1e-6  # values that differ by no more, as on another device, are equal

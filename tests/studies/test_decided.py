@@ -9,20 +9,15 @@ import pytest
 
 from benchmarks.decisions import border_outcome, open_map, random_case
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters
-from jaxurban.studies.decided import (
+from jaxurban.studies.conclusions import (
     Conclusion,
-    Measure,
     SharedVerdict,
     Verdict,
-    border_verdict,
     concluded,
-    edge_band,
-    effects,
-    is_at_edge,
-    ranked,
     runs_needed,
     sized,
 )
+from jaxurban.studies.decided import Measure, border_verdict, edge_band, effects, is_at_edge, ranked
 
 NUM = 60
 

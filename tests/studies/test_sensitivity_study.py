@@ -21,7 +21,7 @@ from jaxurban.paths.rows import InstanceRuns, RouteRules, solve_here
 from jaxurban.report.figures.sensitivity import many_figures, plot_nearest
 from jaxurban.report.sensitivity import sensitivity_markdown, shown_tables
 from jaxurban.studies.bootstrap import Clusters
-from jaxurban.studies.decided import SharedVerdict, Verdict
+from jaxurban.studies.conclusions import SharedVerdict, Verdict
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.weights.routes import OnChangedMaps
 from jaxurban.studies.weights.sobol import sobol_indices

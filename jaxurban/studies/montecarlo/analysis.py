@@ -14,17 +14,8 @@ from jaxurban.paths.queries import IN_METRES
 from jaxurban.paths.rows import BAD_INPUT, CRASHED, HAS_PATH
 from jaxurban.planners.base import Status
 from jaxurban.studies.bootstrap import Clusters, Interval, named
-from jaxurban.studies.decided import (
-    Conclusion,
-    Measure,
-    Ranking,
-    Verdict,
-    border_verdict,
-    concluded,
-    effects,
-    ranked,
-    wider_bounds,
-)
+from jaxurban.studies.conclusions import Conclusion, Verdict, concluded
+from jaxurban.studies.decided import Measure, Ranking, border_verdict, effects, ranked, wider_bounds
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 from jaxurban.studies.queries import ends_option

@@ -21,7 +21,7 @@ from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, Report, reporting
 from jaxurban.satellites.track import NUM_VISIBLE
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, interval_columns
-from jaxurban.studies.decided import Conclusion, Verdict, concluded, runs_needed
+from jaxurban.studies.conclusions import Conclusion, Verdict, concluded, runs_needed
 from jaxurban.studies.receiver.agreement import PlaceSky, example_skies, judged_rows, strong_dbhz
 from jaxurban.studies.receiver.drive import Drive
 from jaxurban.studies.receiver.logs import ReceiverLog

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from jaxurban.programs import kept_jit
-from jaxurban.studies.decided import Verdict
+from jaxurban.studies.conclusions import Verdict
 from jaxurban.studies.queries import RouteQuery, maps_of
 from jaxurban.studies.route_pool import NOT_A_ROUTE, RoutePool
 from jaxurban.studies.tuning.fenchel_young import FitTask, descend, fenchel_young_loss

@@ -1,4 +1,4 @@
-"""What a study of weights decided, as records (`jaxurban.studies.decided`)."""
+"""What a study of weights decided, as records (`jaxurban.studies.conclusions`)."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -10,13 +10,8 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.studies.bootstrap import Clusters
-from jaxurban.studies.decided import (
-    Measure,
-    Verdict,
-    border_verdict,
-    effects,
-    ranked,
-)
+from jaxurban.studies.conclusions import Verdict
+from jaxurban.studies.decided import Measure, border_verdict, effects, ranked
 from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.routes import ROUTE_KEY
 from jaxurban.studies.weights.settings import SensitivitySettings

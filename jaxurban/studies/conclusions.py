@@ -1,0 +1,198 @@
+"""What a study decided, what it did not, and what to run next: records, and the three lines that stand first.
+
+A `Verdict` is a record: its kind, what it is about, the size of the effect with its interval, the number of runs and
+the unit. Its sentence is made where it is shown, and no code decides by one. Each study has its own kinds, an `Enum`
+whose values are sentences with places for the record's fields (`Verdict.sentence`); `SharedVerdict` holds those of all.
+"""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from jaxurban.io.tables import records_of
+from jaxurban.public import FactsRepr
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL
+
+FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effect
+MOST_RUNS = 1e6  # more are called "no number"
+SAME = 1e-9  # relative, and in the unit of the values: what differs by less is equal
+SHOWN = 3  # sentences of a line
+
+
+class SharedVerdict(Enum):
+    """Kinds of verdicts that several studies have; each is a sentence with places for the record's fields."""
+
+    EQUAL = "{what} are equal in {measure} on all {n}"
+    TIED = "{what} cannot be told apart in {measure} ({last} over {first}: {size}, {n})"
+    BORDER = (
+        "{which} within {cells} cells of the border of the maps' data, away from the ends: whether the "
+        "border made this is not decided by more routes, but by maps of wider bounds"
+    )
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a study says to one question.
+
+    Attributes:
+      kind: its value is the sentence, with places for ``{what}`` (all names), ``{first}`` and ``{last}`` of them,
+        ``{size}`` (with unit and interval), ``{n}`` (with its noun) and the names of ``facts``.
+      what: names of what it is about, planners or weights, the better one first.
+      size, low, high: of the effect, and the ends of its interval, in the unit; NaN where there is none.
+      n: number of groups of runs that it rests on.
+      unit: of the effect: ``"%"``, ``"m"``, ``"percentage points"``; empty for a plain number.
+      noun: what ``n`` counts: ``"routes"``.
+      needed: how many would decide it if the effect is as large as it was found to be: 0: it is decided; inf: no number
+        would; NaN: the sentence itself says what would.
+      facts: what else the sentence says, by name.
+    """
+
+    kind: Enum
+    what: tuple[str, ...] = ()
+    size: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    n: int = 0
+    unit: str = ""
+    noun: str = "routes"
+    needed: float = 0.0
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether the runs decide it."""
+        return self.needed == 0
+
+    @property
+    def sentence(self) -> str:
+        """The record in words, without a full stop; if it is not decided, with the number of runs that would do."""
+        *most, last = self.what or ("",)
+        noun = self.noun if self.n != 1 else singular(self.noun)
+        words = {
+            "what": f"{', '.join(most)} and {last}" if most else last,
+            "first": self.what[0] if self.what else "",
+            "last": last,
+            "size": sized(self.size, self.low, self.high, self.unit),
+            "n": f"{self.n:,} {noun}",
+        }
+        sentence = self.kind.value.format_map({**words, **self.facts})
+        if self.is_decided or math.isnan(self.needed):
+            return sentence
+        if math.isinf(self.needed):
+            return f"{sentence}; no number of {self.noun} would change that"
+        if math.isnan(self.low):
+            return f"{sentence}; an interval takes {self.needed:,.0f} {self.noun}"
+        return f"{sentence}; some {self.needed:,.0f} {self.noun} would decide so large an effect"
+
+
+@dataclass(frozen=True, repr=False)
+class Conclusion(FactsRepr):
+    """The three lines that stand first in a study's report, in its result and on the terminal.
+
+    Attributes:
+      verdicts: what was asked, the most important first.
+      next_command: one command that decides more, or uses what is decided.
+    """
+
+    verdicts: tuple[Verdict, ...]
+    next_command: str
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The three lines by name: ``decided``, ``not decided`` and ``next``."""
+        decided = [each for each in self.verdicts if each.is_decided]
+        others = [each for each in self.verdicts if not each.is_decided]
+        return {
+            "decided": _line(decided),
+            "not decided": _line(others),
+            "next": self.next_command,
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return lines and records as plain, JSON-ready values; a number that is not finite is None."""
+        records = [
+            {**vars(each), "kind": each.kind.name.lower(), "is_decided": each.is_decided}
+            for each in self.verdicts
+        ]
+        table = pd.DataFrame(records).replace([np.inf, -np.inf], np.nan)
+        return {"lines": self.facts, "verdicts": records_of(table)}
+
+
+def _line(verdicts: Sequence[Verdict]) -> str:
+    """Return the sentences of the first verdicts as one line, and how many more there are."""
+    sentences = [verdict.sentence for verdict in verdicts[:SHOWN]]
+    if len(verdicts) > SHOWN:
+        sentences.append(f"{len(verdicts) - SHOWN} more in the records")
+    return "; ".join(sentences) + "." if sentences else "Nothing."
+
+
+def sized(value: float, low: float, high: float, unit: str = "") -> str:
+    """Return a number with its unit and its interval, as ``1.3 % (0.9 to 1.7)``.
+
+    Its last digit is that of the second figure of the interval's half-width, so that no digit says what is not known;
+    without an interval it has three figures.
+
+    Args:
+      value, low, high: in the unit; NaN ends where there is no interval.
+      unit: stands once, behind the value.
+    """
+    half = (high - low) / 2
+    scale = half / 10 if half > SAME else abs(value) / 100
+    decimals = max(0, -math.floor(math.log10(scale))) if scale > SAME else 0
+    numbers = [f"{round(each, decimals) + 0.0:,.{decimals}f}" for each in (value, low, high)]
+    text = f"{numbers[0]} {unit}".strip()
+    return text if math.isnan(half) else f"{text} ({numbers[1]} to {numbers[2]})"
+
+
+def singular(noun: str) -> str:
+    """Return the word for one of what a noun names, as ``pair of ends`` for ``pairs of ends``."""
+    return re.sub(r"s\b", "", noun, count=1)
+
+
+def runs_needed(size: float, low: float, high: float, n: int) -> float:
+    """Return how many runs would decide whether an effect differs from 0, if it is as large as it was found to be.
+
+    So many that the interval excludes 0 in `FOUND_SHARE` of the studies, to two figures; 0 if it does already; inf for
+    an effect of 0. Without an interval as many as one takes.
+
+    Args:
+      size, low, high: of the effect and the ends of its interval; NaN where there is none.
+      n: number of runs, counted as the bootstrap's groups.
+    """
+    if low > 0 or high < 0:
+        return 0.0
+    if math.isnan(low):
+        return max(FEWEST_GROUPS, n + 1)
+    further = 1 + special.ndtri(FOUND_SHARE) / special.ndtri((1 + LEVEL) / 2)
+    half = further * (high - low) / 2
+    if abs(size) * math.sqrt(MOST_RUNS) <= half * math.sqrt(n):
+        return math.inf
+    return max(n + 1.0, float(f"{n * (half / size) ** 2:.2g}"))
+
+
+def concluded(
+    verdicts: Sequence[Verdict], *, more: str, done: str, wider: str = "", factor: float = 1.0
+) -> Conclusion:
+    """Return a study's verdicts with the command that decides the next thing, or uses what is decided.
+
+    Args:
+      verdicts: the most important first.
+      more: command of more runs, with a place for ``{needed}``: the fewest that would decide one of the verdicts.
+      done: where nothing is left that a study of this kind decides.
+      wider: of maps of wider bounds, where only they would decide.
+      factor: how many runs the command makes for each one that counts.
+    """
+    command = done
+    if any(each.kind is SharedVerdict.BORDER for each in verdicts):
+        command = wider
+    needed = [each.needed for each in verdicts if 0 < each.needed < math.inf]
+    if needed:
+        command = more.format(needed=math.ceil(factor * min(needed)))
+    return Conclusion(tuple(verdicts), command)
