@@ -4,7 +4,7 @@ from pathlib import Path
 
 import jaxurban as ju
 from figures.gallery import SCREEN_DPI
-from jaxurban.report.figures import plot_overview, save_profile
+from jaxurban.plot import plot_overview, save_profile
 from jaxurban.report.write import write_picture
 
 DOCS = Path(__file__).parents[1] / "docs"

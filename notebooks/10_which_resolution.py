@@ -28,7 +28,7 @@ import numpy as np
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.report.figures import plot_paths
+from jaxurban.plot import plot_paths
 
 city = ju.sample_city("shinjuku")
 SIDES_M = (20.0, 10.0, 5.0, 2.5)

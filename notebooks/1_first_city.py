@@ -26,7 +26,7 @@
 # %%
 # %matplotlib inline
 import jaxurban as ju
-from jaxurban.report.figures import plot_overview, plot_paths, plot_profile
+from jaxurban.plot import plot_overview, plot_paths, plot_profile
 from jaxurban.settings import PlannerName
 
 city = ju.sample_city("lower-manhattan")

@@ -33,7 +33,7 @@ import numpy as np
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.report.figures import (
+from jaxurban.plot import (
     plot_gps_rating,
     plot_heights,
     plot_metric,

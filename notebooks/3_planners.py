@@ -39,7 +39,7 @@ from jaxurban.planners.astar import astar, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bulk import solve_batched
-from jaxurban.report.figures import plot_paths
+from jaxurban.plot import plot_paths
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.report.figures.style import legend_below, panels, styled
 from jaxurban.settings import PlannerName

@@ -23,7 +23,7 @@
 import numpy as np
 
 import jaxurban as ju
-from jaxurban.report.figures import plot_paths
+from jaxurban.plot import plot_paths
 from jaxurban.report.figures.tuning import plot_routes, plot_weights
 from jaxurban.studies.demonstrations import optimal_demonstrations
 

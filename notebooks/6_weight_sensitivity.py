@@ -25,7 +25,7 @@ import tempfile
 from pathlib import Path
 
 import jaxurban as ju
-from jaxurban.report.figures import plot_paths
+from jaxurban.plot import plot_paths
 from jaxurban.report.figures.sensitivity import (
     plot_breakpoint_routes,
     plot_breakpoints,

@@ -39,7 +39,7 @@ import numpy as np
 
 import jaxurban as ju
 from jaxurban.io.samples import located
-from jaxurban.report.figures import plot_heights, plot_overview
+from jaxurban.plot import plot_heights, plot_overview
 
 folder = Path(tempfile.mkdtemp(prefix="my-town-"))
 os.environ["XDG_CACHE_HOME"] = str(

@@ -28,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxurban as ju
-from jaxurban.report.figures import plot_metric, plot_paths
+from jaxurban.plot import plot_metric, plot_paths
 from jaxurban.report.figures.sensitivity import plot_breakpoint_routes
 
 city = ju.sample_city("lower-manhattan")

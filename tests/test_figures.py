@@ -12,7 +12,7 @@ from PIL import Image
 
 from figures import gallery
 from figures.paper import common, example_paths
-from jaxurban.report import figures
+from jaxurban import plot as figures
 from jaxurban.report.figures.frame import MapPanel, classes_layer, draw_maps
 from jaxurban.world.grid import Grid
 

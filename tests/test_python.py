@@ -18,8 +18,8 @@ from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban.paths.export.write import write_path
+from jaxurban.plot import bare, plot_metric, plot_overview, plot_paths
 from jaxurban.public import NAMESPACES
-from jaxurban.report.figures import bare, plot_metric, plot_overview, plot_paths
 from tests.made_maps import made_maps
 
 MAPS = made_maps(24, 30)

@@ -21,7 +21,7 @@ from jaxurban.metrics.base import ALTITUDE, Metric, Scale, Variable, low_is_bad
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.settings import differentiable
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
+from jaxurban.plot import plot_metric, plot_overview, plot_paths
 from jaxurban.viewer.layers import layers_of
 from tests import tiled_runs
 from tests.made_maps import made_maps

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import jaxurban as ju
-from jaxurban.report.figures import plot_paths
+from jaxurban.plot import plot_paths
 
 
 def main(folder: Path) -> None:

@@ -26,7 +26,7 @@ from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.samples import SAMPLES
 from jaxurban.maps.run import ScenarioRun, run_scenario
 from jaxurban.maps.scenario import Scenario
-from jaxurban.report.figures import plot_metric
+from jaxurban.plot import plot_metric
 from jaxurban.report.write import framed, write_picture
 from jaxurban.studies.montecarlo.sampling import STRATA, strata_of
 from jaxurban.world.blocks import Blocks

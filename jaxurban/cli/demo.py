@@ -36,7 +36,7 @@ def demo_command(folder: Path, overwrite: bool, as_json: bool) -> None:
     from jaxurban.maps.run import run_scenario
     from jaxurban.maps.scenario import Scenario
     from jaxurban.paths.plan import plan
-    from jaxurban.report.figures import save_figures
+    from jaxurban.plot import save_figures
     from jaxurban.report.write import save
 
     # The folder is checked before maps and paths are made.

@@ -115,7 +115,7 @@ def maps_command(
                     "the pictures of the former maps are removed; --figures draws those of these maps"
                 )
             if figures:
-                from jaxurban.report.figures import save_figures
+                from jaxurban.plot import save_figures
 
                 report("figures")
                 for resolution_m, maps_drawn in made.items():

@@ -19,7 +19,7 @@ from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import describe_constraints
 from jaxurban.paths.route_report import TOUCHED
-from jaxurban.report.figures import frame
+from jaxurban.plot import frame
 from jaxurban.report.figures.metrics import roof_layers
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.report.figures.style import chart, dress, label_apart, legend_above, styled

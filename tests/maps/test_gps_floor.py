@@ -16,7 +16,7 @@ from jaxurban.maps.params import MapParams
 from jaxurban.maps.shared import OneMap
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps_floor import METRIC, GpsFloor
-from jaxurban.report.figures import plot_metric
+from jaxurban.plot import plot_metric
 from jaxurban.report.figures.metrics import precise_percent
 from jaxurban.report.figures.paths import maps_figures
 from jaxurban.viewer.layers import layers_of, legend_of

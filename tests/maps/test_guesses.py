@@ -10,6 +10,7 @@ import shapely
 from matplotlib.text import Text
 
 import jaxurban as ju
+from jaxurban import plot as plotting
 from jaxurban.errors import GuessWarning
 from jaxurban.io.city import City
 from jaxurban.io.read.burn import burn
@@ -21,7 +22,6 @@ from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.population import Population
-from jaxurban.report import figures as plotting
 from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Grid, transformer
 from tests.cli_runs import run

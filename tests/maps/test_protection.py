@@ -20,7 +20,7 @@ from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.protection import CAVEAT, Protection
 from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status
-from jaxurban.report.figures import plot_metric
+from jaxurban.plot import plot_metric
 from tests.cli_runs import TOWN, assert_one_sentence, run
 
 ALTITUDE_M, TIMES = 20.0, [f"2020-04-27T{hour:02d}:30:00Z" for hour in (0, 6, 12)]

@@ -21,7 +21,7 @@ from jaxurban.paths.explain import with_return_altitude
 from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
 from jaxurban.paths.steps import between
 from jaxurban.planners.cost import path_states
-from jaxurban.report.figures import plot_profile, save_profile
+from jaxurban.plot import plot_profile, save_profile
 from jaxurban.report.figures.profile import NO_FIX_COLOUR
 from jaxurban.viewer.markup import profile as profile_html
 from jaxurban.world.kinds import CODES

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.report.figures import plot_when
+from jaxurban.plot import plot_when
 from tests.cli_runs import run
 from tests.guess_records import FLAT, attribute
 

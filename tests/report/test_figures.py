@@ -20,6 +20,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
 
 import jaxurban as ju
+from jaxurban import plot as plotting
 from jaxurban.errors import InputError
 from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.maps.metric_maps import MetricMaps
@@ -27,7 +28,6 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import FREE_COLOUR, GROUP_COLOURS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Status
-from jaxurban.report import figures as plotting
 from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer
 from jaxurban.report.figures.metrics import obstacle_patches, precise_percent
 from jaxurban.report.figures.paths import (
@@ -784,7 +784,7 @@ def test_a_single_panel_keeps_the_maps_proportions():
 
 @pytest.mark.slow
 def test_drawing_does_not_import_pyplot():
-    code = "import sys, jaxurban.report.figures; sys.exit('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, jaxurban.plot; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
