@@ -182,7 +182,9 @@ def test_no_text_of_maps_is_markup_in_a_report(maps, tmp_path):
 
 def test_what_a_template_is_filled_with_is_text_unless_it_is_markdown():
     unit = SimpleNamespace(altitude_m=20.0, cost_model=SimpleNamespace(kind=HTML))
-    text = fill("use_weights", credits=[HOSTILE], unit=unit, option=HOSTILE, where=HOSTILE)
+    text = fill(
+        "report/templates/use_weights", credits=[HOSTILE], unit=unit, option=HOSTILE, where=HOSTILE
+    )
     check_markdown_harmless(text)
     assert plain(text) == text
     for part in (table([HOSTILE], [[HOSTILE]]), bullets([HOSTILE]), code(HOSTILE), plain(HOSTILE)):

@@ -14,8 +14,8 @@ class Result(FactsRepr):
 
     Attributes:
       _command: that writes such results; a folder of one of another command is not replaced.
-      _report: ``module:function`` of `jaxurban.report`, which is imported when a result is saved: it draws, and imports
-        studies. The function returns what is written of a result (`jaxurban.report.write.Written`).
+      _report: ``module:function``, which is imported when a result is saved, as it draws. The function returns what is
+        written of a result (`jaxurban.report.write.Written`).
     """
 
     _command: ClassVar[str]
@@ -34,7 +34,7 @@ class Result(FactsRepr):
         """
         folder = Path(folder)
         write = resolve_name("jaxurban.report.write")
-        outputs, settings = resolve_name(f"jaxurban.report.{self._report}")(self)
+        outputs, settings = resolve_name(self._report)(self)
         names = write.files_of(outputs)
         with Workspace.open(folder, self._command, settings, names=names, overwrite=overwrite):
             return write.save(folder, outputs)

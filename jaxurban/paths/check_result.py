@@ -77,7 +77,7 @@ class MissionCheck(Result):
     """
 
     _command = "check"
-    _report = "check:check_outputs"
+    _report = "jaxurban.report.check:check_outputs"
 
     findings: pd.DataFrame
     not_judged: list[str]

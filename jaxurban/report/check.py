@@ -19,7 +19,7 @@ from jaxurban.metrics.variables import BUILT_COLOUR
 from jaxurban.paths.check_result import MissionCheck
 from jaxurban.paths.constraints import describe_constraints
 from jaxurban.paths.route_report import TOUCHED
-from jaxurban.plot import frame
+from jaxurban.report.figures import frame
 from jaxurban.report.figures.metrics import roof_layers
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.report.figures.style import chart, dress, label_apart, legend_above, styled
@@ -77,7 +77,7 @@ def check_markdown(result: MissionCheck, figures: list[str]) -> str:
     """Return the report as Markdown; ``figures`` are the names of the pictures that lie beside it."""
     findings = [f"{number}. {plain(text)}" for number, text in enumerate(result.sentences, 1)]
     return fill(
-        "check",
+        "report/templates/check",
         {},
         figures,
         [result.maps.attribution],

@@ -100,7 +100,7 @@ def report_markdown(
     if study.budget_iterations is None:
         budget = f"{study.budget_s:g} s a run"
     return fill(
-        "study",
+        "report/templates/study",
         shown,
         figures,
         [result.maps.attribution],

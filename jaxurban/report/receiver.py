@@ -52,7 +52,7 @@ def validation_outputs(result: ReceiverValidation) -> Written:
 def validation_markdown(result: ReceiverValidation) -> str:
     """Return the report as Markdown."""
     return fill(
-        "validate",
+        "report/templates/validate",
         tables={"scores": score_texts(result.scores)},
         credits=[result.attribution],
         result=result,

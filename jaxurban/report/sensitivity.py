@@ -206,7 +206,7 @@ def sensitivity_markdown(result: Sensitivity, figures: Figures) -> str:
     reasons = lost.value_counts(["status", "note"]).head(MOST_REASONS).reset_index(name="routes")
     small = summary.small_parts(tables["weights"]) if "weights" in tables else []
     return fill(
-        "sensitivity",
+        "report/templates/sensitivity",
         {"cities": _cities(result), **shown_tables(tables)},
         figures,
         [maps.attribution for maps in result.maps.values()],

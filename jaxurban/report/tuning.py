@@ -240,15 +240,17 @@ def outputs_of(
 
     # What depends on the kind of the fit: the template of its report, its table of weights, and further tables.
     if isinstance(fit, WeightFit):
-        template = "imitation"
+        template = "report/templates/imitation"
         noun = "demonstration"
         weights = fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
         fields["cautions"] = bullets(fit.cautions)
-        fields["held_out"] = fill("held_out", num=num_held_out, fit=fit) if num_held_out else ""
+        fields["held_out"] = (
+            fill("report/templates/held_out", num=num_held_out, fit=fit) if num_held_out else ""
+        )
     else:
-        template = "targets"
+        template = "report/templates/targets"
         noun = "usual route"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         tables["outcomes"] = outputs["targets"] = fit.outcomes.reset_index()
@@ -282,7 +284,7 @@ def outputs_of(
         overlap=routes["overlap"].mean(),
         pictures=paragraphs(*(Markdown(f"![Routes](figures/{name}.png)") for name in pictures)),
         use=fill(
-            "use_weights",
+            "report/templates/use_weights",
             unit=first,
             command=command_to_plan(planned[0].query, fit.weights),
             where=_where(first),

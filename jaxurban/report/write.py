@@ -150,12 +150,12 @@ def fill(
     credits: Iterable[str] = (),
     **fields: Any,
 ) -> Markdown:
-    """Return the text of ``jaxurban/report/templates/TEMPLATE.md`` with its fields filled, as `str.format` does.
+    """Return the text of ``jaxurban/TEMPLATE.md`` with its fields filled, as `str.format` does.
 
     Texts of fields that are no `Markdown` are harmless in it. Paragraphs whose only field is empty are left out.
 
     Args:
-      template: name of the file.
+      template: the file in the package, as ``report/templates/check``.
       tables: what ``{tables[NAME]}`` stands for; a section (from one ## to the next) with a table that is not among
         these, or has no row, is left out.
       figures: names of the pictures that are drawn; the lines of other pictures ``figures/NAME.png`` are left out.
@@ -163,7 +163,7 @@ def fill(
       credits: of the data behind the report; named at its end, each once.
       fields: all other fields.
     """
-    text = (files("jaxurban.report") / "templates" / f"{template}.md").read_text(encoding="utf-8")
+    text = (files("jaxurban") / f"{template}.md").read_text(encoding="utf-8")
     texts = {name: framed(table) for name, table in (tables or {}).items() if len(table)}
 
     # Leave out sections without their tables, and lines of pictures that are not drawn.

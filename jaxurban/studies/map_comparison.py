@@ -81,7 +81,7 @@ class MapComparison(Result):
     """
 
     _command = "compare"
-    _report = "map_comparison:comparison_outputs"
+    _report = "jaxurban.report.map_comparison:comparison_outputs"
 
     names: tuple[str, str]
     a: MetricMaps

@@ -59,7 +59,7 @@ class BenchmarkResult(Result):
     """
 
     _command = "study"
-    _report = "montecarlo:benchmark_outputs"
+    _report = "jaxurban.report.montecarlo:benchmark_outputs"
 
     folder: Path
     maps: MetricMaps

@@ -80,7 +80,7 @@ class ReceiverValidation(Result):
     """
 
     _command = "validate"
-    _report = "receiver:validation_outputs"
+    _report = "jaxurban.report.receiver:validation_outputs"
 
     log: ReceiverLog
     settings: ReceiverSettings
