@@ -18,7 +18,7 @@ def make_inputs(folder: Path, is_small: bool) -> None:
     if (folder / f"surface_{RESOLUTIONS_M[-1]:g}m.npz").exists():
         return
     import jaxurban as ju  # the readers, which a machine that gets these files needs not have
-    from jaxurban.io.read.rasterise import build_surface
+    from jaxurban.io.rasterise import build_surface
     from jaxurban.maps.build import view_sky
 
     folder.mkdir(parents=True, exist_ok=True)

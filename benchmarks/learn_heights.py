@@ -1,6 +1,6 @@
 """What known heights of several cities say of unknown ones, and how well: ``python -m benchmarks.learn_heights``.
 
-The first table is `jaxurban.io.read.learned.PACKAGED`. The second leaves one city out: by how much the guess of the
+The first table is `jaxurban.io.learned.PACKAGED`. The second leaves one city out: by how much the guess of the
 others misses its known heights, those by the number of levels among them (the median of guess less true and the mean of
 its size, in metres), beside its own guess and a constant. The third does so too: how many of its given heights keep
 below what the others say, with the interval of Clopper and Pearson (95 %), and the median of likely less true. The last
@@ -21,9 +21,9 @@ from scipy.stats import beta
 import jaxurban as ju
 from benchmarks.common import table
 from jaxurban.io.city import City
+from jaxurban.io.learned import CLASSES, LIKELY_SHARE, classes_of, likely_of
 from jaxurban.io.read import buildings as reader
 from jaxurban.io.read.city import lonlat_extent, read_buildings
-from jaxurban.io.read.learned import CLASSES, LIKELY_SHARE, classes_of, likely_of
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import utm_of
 

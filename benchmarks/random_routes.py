@@ -32,7 +32,7 @@ from tqdm import tqdm
 import jaxurban as ju
 from benchmarks.common import machine, table
 from benchmarks.scenes import PLACES, Scene, load_place
-from jaxurban.io.read.zone import Zone
+from jaxurban.io.zone import Zone
 from jaxurban.maps.build import compute_maps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.explain import explain

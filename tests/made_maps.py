@@ -9,7 +9,7 @@ import xarray as xr
 from scipy.ndimage import gaussian_filter
 
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import build_surface
+from jaxurban.io.rasterise import build_surface
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import Grid

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.io.read.rasterise import build_surface
+from jaxurban.io.rasterise import build_surface
 from jaxurban.maps.run import load_city
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem

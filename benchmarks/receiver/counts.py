@@ -26,9 +26,9 @@ from scipy.stats import t as student
 
 from benchmarks.common import exit_code
 from jaxurban.errors import InputError
-from jaxurban.io.read.tracks import LAT, LON, RULES, UTC, Rule, checked, renamed
 from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
+from jaxurban.io.tracks import LAT, LON, RULES, UTC, Rule, checked, renamed
 from jaxurban.kernels.shadows.sweep import WORD_BITS
 from jaxurban.maps.run import scenario_grid
 from jaxurban.maps.scenario import Scenario

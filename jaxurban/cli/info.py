@@ -12,8 +12,8 @@ import click
 from jaxurban.cli.common import GIVEN, JSON_FLAG, Settings, print_json
 from jaxurban.cli.options import command
 from jaxurban.errors import InputError
-from jaxurban.io.read.sniff import LIDAR, sniff
 from jaxurban.io.samples import located
+from jaxurban.io.sniff import LIDAR, sniff
 from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
 from jaxurban.knowledge import names_of
 
@@ -112,8 +112,8 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     import numpy as np
 
     from jaxurban.io.city import City
+    from jaxurban.io.issues import listed_counts
     from jaxurban.io.read.city import lonlat_extent
-    from jaxurban.io.read.issues import listed_counts
     from jaxurban.io.read.lidar import read_points
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
     from jaxurban.settings import Buildings
@@ -169,10 +169,10 @@ def _line_of_other(file: Path, error: InputError) -> str:
       InputError: a scenario or a mission that cannot be read; ``error``, why it is none of buildings, if it is no other
         file either.
     """
+    from jaxurban.io.orbits import read_orbits, span_of
     from jaxurban.io.read.mission import read_mission
-    from jaxurban.io.read.orbits import read_orbits, span_of
     from jaxurban.io.read.receivers import read_log
-    from jaxurban.io.read.tracks import UTC, read_track
+    from jaxurban.io.tracks import UTC, read_track
     from jaxurban.maps.scenario import Scenario
 
     if file.stat().st_size > MOST_BYTES:

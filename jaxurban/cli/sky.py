@@ -142,9 +142,9 @@ def _way_along(
       InputError: a file that cannot be read.
       UsageError: a time or a speed that such a file does not take, or that is missing.
     """
-    from jaxurban.io.read.routes import read_routes
-    from jaxurban.io.read.tracks import read_track
+    from jaxurban.io.routes import read_routes
     from jaxurban.io.tables import SUFFIXES
+    from jaxurban.io.tracks import read_track
 
     if logged is not None or track.suffix.lower() in SUFFIXES:
         if times or speed_m_s is not None:

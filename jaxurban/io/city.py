@@ -13,8 +13,8 @@ import shapely
 from jaxurban import settings, wings
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts
-from jaxurban.io.read.learned import Learned
+from jaxurban.io.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts
+from jaxurban.io.learned import Learned
 from jaxurban.knowledge import Caution, Guesses, caution_of_guesses
 from jaxurban.public import FactsRepr
 from jaxurban.settings import TO_GROUND, Hanging
@@ -68,7 +68,7 @@ class City(FactsRepr):
       roofs: raster of roof heights above ground, or None.
       blocks: census blocks, or None without population data.
       terrain: raster of ground elevation, or None for flat ground.
-      read_issues: what the readers repaired, guessed or left out, counted by `jaxurban.io.read.issues.ReadIssue`.
+      read_issues: what the readers repaired, guessed or left out, counted by `jaxurban.io.issues.ReadIssue`.
       sources: path by role, for provenance (empty for the synthetic city).
       guesses: what was supposed where the sources are silent, see `jaxurban.knowledge`.
       attribution: the credit that the licence of the sources asks for wherever pictures are shown.

@@ -17,13 +17,13 @@ import tomli_w
 
 from jaxurban.checks import one_of
 from jaxurban.errors import InputError, readable
+from jaxurban.io.broken import BROKEN
 from jaxurban.io.download import Source, cache_folder, download
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
-from jaxurban.io.read.broken import BROKEN
+from jaxurban.io.orbits import WARN_AGE_DAYS, middle_epoch, read_orbits
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.kinds import BY_VALUE, WATERS, Kind
-from jaxurban.io.read.orbits import WARN_AGE_DAYS, middle_epoch, read_orbits
 from jaxurban.io.read.osm import MAYBE, header_box, read_osm
 from jaxurban.io.workspace import Workspace
 from jaxurban.metrics.population import Population

@@ -21,7 +21,7 @@ def write_geoparquet(path: Path, frame: gpd.GeoDataFrame, facts: Mapping[str, An
       path: the file.
       frame: the features.
       facts: ``credit``, ``licence``, ``boxes`` (west, south, east, north each, that the file covers) and ``issues``
-        (`jaxurban.io.read.issues.ReadIssue` by name, counted), all optional.
+        (`jaxurban.io.issues.ReadIssue` by name, counted), all optional.
 
     Raises:
       InputError: the folder cannot be written to.

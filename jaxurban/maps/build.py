@@ -11,8 +11,8 @@ import shapely
 from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
-from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
-from jaxurban.io.read.rasterise import bands_of, check_has_data
+from jaxurban.io.orbits import look_angles, middle_epoch, read_orbits
+from jaxurban.io.rasterise import bands_of, check_has_data
 from jaxurban.kernels.engine import Engine, on_host, warn_of_jax
 from jaxurban.knowledge import Guesses, GuessKind, guessed, guesses_to, warn_of
 from jaxurban.maps.at_once import (

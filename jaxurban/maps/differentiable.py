@@ -12,7 +12,7 @@ from jaxtyping import Array, DTypeLike, Float, Int
 from jaxurban.checks import one_of, typed
 from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import building_index
+from jaxurban.io.rasterise import building_index
 from jaxurban.maps.build import check_region, view_sky
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask
@@ -102,7 +102,7 @@ class SoftCity(FactsRepr):
     Attributes:
       surface: roofs, terrain and blocks; the type of its roofs is that of the layers (float64 under
         ``jax.enable_x64(True)``).
-      building: ``[Y, X]`` the highest building over each cell (`jaxurban.io.read.rasterise.building_index`); cells that
+      building: ``[Y, X]`` the highest building over each cell (`jaxurban.io.rasterise.building_index`); cells that
         a structure or a plant tops do not change with its height.
       height_m: ``[B]`` the buildings' own heights.
       view: the satellites.

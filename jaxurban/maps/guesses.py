@@ -7,8 +7,8 @@ import numpy as np
 import shapely
 
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import highest_top_m
-from jaxurban.io.read.sampling import pixel_xy
+from jaxurban.io.rasterise import highest_top_m
+from jaxurban.io.sampling import pixel_xy
 from jaxurban.knowledge import LEAST_SHARE, Guesses, GuessKind, guessed
 from jaxurban.metrics.population import BlockLayers, Population, region_blocks
 from jaxurban.settings import SLABS

@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.rasterise import PEOPLE_SAMPLES
+from jaxurban.io.rasterise import PEOPLE_SAMPLES
 from jaxurban.io.stored import GEOTIFF_FOLDER, ZARR_FOLDER
 from jaxurban.maps.free_memory import free_bytes
 from jaxurban.maps.task import MapTask, variables

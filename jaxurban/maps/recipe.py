@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import build_surface, highest_top_m
+from jaxurban.io.rasterise import build_surface, highest_top_m
 from jaxurban.maps.task import variables
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.maps.uncertain_heights import Spread, perturbed_cities

@@ -20,7 +20,7 @@ from jaxurban.io.city import City
 from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, sweep_scraps
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
-from jaxurban.io.read.rasterise import bands_of, check_has_data, rasterise
+from jaxurban.io.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace

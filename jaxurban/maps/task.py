@@ -15,7 +15,7 @@ from xarray.indexes import PandasIndex
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import City, joined_credits, seen_by
-from jaxurban.io.read.rasterise import (
+from jaxurban.io.rasterise import (
     build_surface,
     check_has_data,
     highest_top_m,
@@ -51,7 +51,7 @@ class MapTask:
       params: settings.
       layers: cost layers that a user adds, by name.
       bands: values of the layers that are not functions, by name: one band, or one for each of the layer's
-        ``altitudes_m``; rasters, or arrays on the region's cells (see `jaxurban.io.read.rasterise.bands_of`).
+        ``altitudes_m``; rasters, or arrays on the region's cells (see `jaxurban.io.rasterise.bands_of`).
       guesses: what the maps rest on that was guessed (see `jaxurban.knowledge`).
 
     Raises:

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import build_surface, layer_values
+from jaxurban.io.rasterise import build_surface, layer_values
 from jaxurban.kernels.shadows.sweep import Ring
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene

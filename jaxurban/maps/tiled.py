@@ -14,7 +14,7 @@ import numpy as np
 from jaxurban.checks import values_given
 from jaxurban.errors import InputError
 from jaxurban.io.folders import ZARR, WorkFolder
-from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
+from jaxurban.io.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
 from jaxurban.kernels.engine import on_host
 from jaxurban.kernels.shadows.blocks import hand_on

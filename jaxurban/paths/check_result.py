@@ -12,9 +12,9 @@ import pandas as pd
 
 from jaxurban.checks import typed
 from jaxurban.io.files import write_whole
-from jaxurban.io.read.zone import Zone
 from jaxurban.io.results import Result
 from jaxurban.io.tables import SUFFIXES, records_of, write_table
+from jaxurban.io.zone import Zone
 from jaxurban.knowledge import Caution, caution_of_guesses
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.legs import Flight

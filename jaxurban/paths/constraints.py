@@ -13,7 +13,7 @@ import numpy as np
 from jaxurban import wings
 from jaxurban.checks import nearest_name, typed
 from jaxurban.errors import IgnoredZoneWarning, InputError, warn
-from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
+from jaxurban.io.zone import Zone, cell_boxes, touched_cells
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.maps.levels import around
 from jaxurban.paths.clearance import (

@@ -8,9 +8,9 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import WOOD, City
-from jaxurban.io.read.rasterise import unknown_plants_m
-from jaxurban.io.read.sampling import resample_raster
-from jaxurban.io.read.zone import cell_boxes
+from jaxurban.io.rasterise import unknown_plants_m
+from jaxurban.io.sampling import resample_raster
+from jaxurban.io.zone import cell_boxes
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.rules import roof_limits_m
 from jaxurban.metrics.variables import ROOF_KIND

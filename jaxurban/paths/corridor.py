@@ -7,7 +7,7 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.zone import cell_boxes
+from jaxurban.io.zone import cell_boxes
 from jaxurban.world.grid import Grid, covering_grid
 
 MOST_CELLS = 1_000_000  # of a grid around a line

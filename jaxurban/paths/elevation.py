@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from jaxurban.io.city import City
-from jaxurban.io.read.sampling import raster_values
+from jaxurban.io.sampling import raster_values
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.ground import elevation_at
 from jaxurban.world.raster import Raster

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.io.read.zone import Zone
+from jaxurban.io.zone import Zone
 from jaxurban.kernels.tolerances import FILE_MARGIN_M, GROUND_TOLERANCE_M
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.clearance import reach_said

@@ -11,8 +11,8 @@ import numpy as np
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.zone import Zone
 from jaxurban.io.tables import number_or_none, numbers_or_none
+from jaxurban.io.zone import Zone
 from jaxurban.knowledge import Caution, sentences_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.ground import Ground

@@ -5,7 +5,7 @@ import math
 
 import pandas as pd
 
-from jaxurban.io.read.tracks import CN0, LAT, LON, SATELLITE, UTC
+from jaxurban.io.tracks import CN0, LAT, LON, SATELLITE, UTC
 from jaxurban.maps.levels import listed_m
 from jaxurban.report.satellites import HEADS, ROWS, satellite_figures
 from jaxurban.report.write import (

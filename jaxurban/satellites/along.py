@@ -11,8 +11,8 @@ import pandas as pd
 
 from jaxurban.checks import one_of, positive, typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.orbits import rinex_name
-from jaxurban.io.read.tracks import ALTITUDE, CN0, LAT, LON, SATELLITE, UTC, track_of
+from jaxurban.io.orbits import rinex_name
+from jaxurban.io.tracks import ALTITUDE, CN0, LAT, LON, SATELLITE, UTC, track_of
 from jaxurban.knowledge import Caution
 from jaxurban.maps.sources import CityLike
 from jaxurban.metrics.gps import FIX, Gps, has_no_fix

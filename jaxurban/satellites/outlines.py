@@ -16,10 +16,10 @@ import pandas as pd
 import shapely
 
 from jaxurban.errors import InputError
+from jaxurban.io.burn import UNKNOWN_GROUND_M
 from jaxurban.io.city import City
-from jaxurban.io.read.burn import UNKNOWN_GROUND_M
-from jaxurban.io.read.rasterise import highest_top_m
-from jaxurban.io.read.sampling import raster_values
+from jaxurban.io.rasterise import highest_top_m
+from jaxurban.io.sampling import raster_values
 from jaxurban.progress import LOG
 from jaxurban.satellites.rule import FARTHEST_MARGIN_M, HIDDEN, LOWEST_HORIZON_DEG, states_of
 from jaxurban.settings import SLABS, Hanging

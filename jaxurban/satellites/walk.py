@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import rasterise, surface_grid
+from jaxurban.io.rasterise import rasterise, surface_grid
 from jaxurban.kernels.shadows.rays import Walks, shadows_at, walks
 from jaxurban.satellites.rule import FARTHEST_MARGIN_M
 from jaxurban.settings import TO_GROUND

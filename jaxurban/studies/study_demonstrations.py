@@ -11,7 +11,7 @@ import pandas as pd
 
 from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError, OtherSettingsWarning, SkippedRouteWarning, warn
-from jaxurban.io.read.routes import Route, read_routes
+from jaxurban.io.routes import Route, read_routes
 from jaxurban.io.tables import SUFFIXES, Row, read_table, records_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.weights import Weights, weights_on

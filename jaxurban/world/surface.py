@@ -108,7 +108,7 @@ def roofs_of(height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> Float
 
     Args:
       height_m: ``[B]`` height of each building.
-      building: ``[Y, X]`` from `jaxurban.io.read.rasterise.building_index`.
+      building: ``[Y, X]`` from `jaxurban.io.rasterise.building_index`.
     """
     # NO_BUILDING, -1, takes the last entry: the 0 that is appended here.
     return jnp.append(height_m, jnp.zeros(1, height_m.dtype))[building]

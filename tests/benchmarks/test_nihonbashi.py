@@ -10,7 +10,7 @@ import shapely
 
 import jaxurban as ju
 from benchmarks.receiver.evidence import Evidence, evidence_of, headings_rad
-from jaxurban.io.read.orbits import read_orbits
+from jaxurban.io.orbits import read_orbits
 from jaxurban.io.read.receivers import read_reference
 from jaxurban.io.samples import located
 from jaxurban.maps.run import load_city, scenario_grid

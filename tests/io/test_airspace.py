@@ -15,7 +15,7 @@ from shapely import affinity
 import jaxurban as ju
 from jaxurban.errors import IgnoredZoneWarning
 from jaxurban.io.read.airspace import read_zones
-from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
+from jaxurban.io.zone import Zone, cell_boxes, touched_cells
 from jaxurban.world.grid import Grid, transformer, utm_crs
 from tests.io.made_files import UTM, WGS84, refused, write_features, write_vector
 from tests.made_maps import made_maps

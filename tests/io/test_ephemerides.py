@@ -11,7 +11,7 @@ from skyfield.framelib import itrs
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
+from jaxurban.io.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.maps.build import view_sky
 from jaxurban.world.grid import Grid
 from tests.guess_records import by_name

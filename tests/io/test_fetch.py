@@ -15,11 +15,11 @@ import shapely
 from sgp4.exporter import export_tle
 
 import jaxurban as ju
+from jaxurban.io.ephemerides import timescale
 from jaxurban.io.fetch import SOURCES, FetchJob
 from jaxurban.io.files import only_writer
-from jaxurban.io.read.ephemerides import timescale
+from jaxurban.io.nominal import nominal_satellites
 from jaxurban.io.read.kinds import BY_VALUE, KINDS, WATERS, Kind
-from jaxurban.io.read.nominal import nominal_satellites
 from jaxurban.maps.run import load_city, run_scenario
 from tests.cli_runs import assert_one_sentence, run
 from tests.io.made_files import line, node, osm, way

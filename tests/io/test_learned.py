@@ -8,10 +8,7 @@ import shapely
 from scipy.stats import binom
 
 import jaxurban as ju
-from jaxurban.io.read import city as city_reader
-from jaxurban.io.read.buildings import to_buildings
-from jaxurban.io.read.city import read_buildings
-from jaxurban.io.read.learned import (
+from jaxurban.io.learned import (
     LEAST_FOR_GUESS,
     LEAST_KNOWN,
     PACKAGED,
@@ -19,6 +16,9 @@ from jaxurban.io.read.learned import (
     learned_from,
     likely_of,
 )
+from jaxurban.io.read import city as city_reader
+from jaxurban.io.read.buildings import to_buildings
+from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.world.footprints import HeightOrigin
 from tests.io.made_files import write_vector

@@ -13,7 +13,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.read import lidar, plausible
 from jaxurban.io.read.lidar import read_points
-from jaxurban.io.read.sampling import raster_values
+from jaxurban.io.sampling import raster_values
 from tests.cli_runs import assert_one_sentence, run
 from tests.io.made_files import UTM, X, Y, refused, write_raster
 

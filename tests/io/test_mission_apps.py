@@ -15,7 +15,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.io.read.mission import read_flight, read_mission
 from jaxurban.io.read.mission_parts import GEOD
-from jaxurban.io.read.tracks import read_track
+from jaxurban.io.tracks import read_track
 from tests.paths.missions.apps import CURVE, CUT, HEAD, STOP, elements
 from tests.paths.missions.trial import APPS, Court, make_maps
 

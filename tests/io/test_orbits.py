@@ -15,8 +15,8 @@ from skyfield.framelib import itrs
 
 from benchmarks.make_samples import GALILEO
 from jaxurban.errors import InputError, StaleElementsWarning
-from jaxurban.io.read.nominal import GPS, nominal_satellites
-from jaxurban.io.read.orbits import NO_SATELLITE, look_angles, matching, middle_epoch, read_orbits
+from jaxurban.io.nominal import GPS, nominal_satellites
+from jaxurban.io.orbits import NO_SATELLITE, look_angles, matching, middle_epoch, read_orbits
 from jaxurban.settings import parse_time
 from jaxurban.world.sky import Sky
 from tests.io.made_files import refused

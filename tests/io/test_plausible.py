@@ -10,8 +10,8 @@ import shapely
 from affine import Affine
 
 import jaxurban as ju
+from jaxurban.io.rasterise import bands_of, rasterise
 from jaxurban.io.read.census import read_blocks
-from jaxurban.io.read.rasterise import bands_of, rasterise
 from jaxurban.world.grid import Grid, transformer
 from tests.guess_records import by_name
 from tests.io.made_files import (

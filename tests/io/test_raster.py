@@ -20,7 +20,7 @@ from jaxurban.io.read.raster import (
     raster_extent_m,
     read_raster,
 )
-from jaxurban.io.read.sampling import heights_above, resample_raster
+from jaxurban.io.sampling import heights_above, resample_raster
 from jaxurban.world.grid import transformer
 from jaxurban.world.raster import Raster
 from tests.io.made_files import FEET, UTM, WGS84, X, Y, box, north_up, write_raster, write_vector

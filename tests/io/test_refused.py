@@ -11,11 +11,11 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
+from jaxurban.io.orbits import read_orbits
 from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.io.read.city import read_buildings
 from jaxurban.io.read.land_cover import read_land_cover
-from jaxurban.io.read.orbits import read_orbits
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.raster import raster_extent_m, read_raster
 from jaxurban.io.read.vector import open_layers, read_vector

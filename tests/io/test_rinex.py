@@ -10,7 +10,7 @@ import pytest
 from pyproj import Transformer
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.orbits import read_orbits
+from jaxurban.io.orbits import read_orbits
 from jaxurban.io.read.receivers import read_log, read_reference
 from jaxurban.studies.receiver.logs import ReceiverLog, read_receiver_log
 from jaxurban.studies.receiver.rinex import angles_along, with_navigation

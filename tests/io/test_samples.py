@@ -19,8 +19,8 @@ import jaxurban as ju
 from benchmarks import make_samples as make
 from benchmarks.make_samples import GALILEO
 from jaxurban.io.files import digest_of, read_json, write_json
-from jaxurban.io.read.nominal import GPS
-from jaxurban.io.read.orbits import look_angles, read_orbits
+from jaxurban.io.nominal import GPS
+from jaxurban.io.orbits import look_angles, read_orbits
 from jaxurban.io.samples import SAMPLES, located, log_of, structures_of
 from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario

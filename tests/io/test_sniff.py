@@ -20,14 +20,14 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
-from jaxurban.io.read import sniff as sniffing
+from jaxurban.io import sniff as sniffing
+from jaxurban.io.issues import ReadIssue
 from jaxurban.io.read.city import OUTLINE_READERS, lonlat_extent, read_buildings
-from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.read.outlines import Near
-from jaxurban.io.read.sniff import sniff, unpacked
 from jaxurban.io.read.vector import read_vector
+from jaxurban.io.sniff import sniff, unpacked
 from jaxurban.world.grid import box_of
 from tests.cli_runs import assert_one_sentence, run
 from tests.io.made_files import LAT, LON, SQUARE, UTM, WGS84, node, osm, refused, relation, way

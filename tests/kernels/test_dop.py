@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.io.read.orbits import look_angles, read_orbits
+from jaxurban.io.orbits import look_angles, read_orbits
 from jaxurban.kernels.dop import Clocks, Dops, dops, dops_of_words, geometry, unit_vectors
 
 RING = unit_vectors(

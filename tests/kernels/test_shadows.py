@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxurban as ju
-from jaxurban.io.read.rasterise import build_surface
+from jaxurban.io.rasterise import build_surface
 from jaxurban.kernels.blocks import SMALL
 from jaxurban.kernels.shadows.blocks import Receivers, hand_on, mark_visible
 from jaxurban.kernels.shadows.sweep import (

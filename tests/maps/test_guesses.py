@@ -12,9 +12,9 @@ from matplotlib.text import Text
 import jaxurban as ju
 from jaxurban import plot as plotting
 from jaxurban.errors import GuessWarning
+from jaxurban.io.burn import burn
 from jaxurban.io.city import City
-from jaxurban.io.read.burn import burn
-from jaxurban.io.read.rasterise import build_surface
+from jaxurban.io.rasterise import build_surface
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.params import MapParams

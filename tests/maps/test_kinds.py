@@ -15,7 +15,7 @@ import xarray as xr
 
 import jaxurban as ju
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import rasterise
+from jaxurban.io.rasterise import rasterise
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask

@@ -11,7 +11,7 @@ from rasterio.warp import transform_bounds
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.read.rasterise import bands_of, layer_values
+from jaxurban.io.rasterise import bands_of, layer_values
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import run_scenario

@@ -13,8 +13,8 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import highest_top_m, rasterise
-from jaxurban.io.read.zone import cell_boxes
+from jaxurban.io.rasterise import highest_top_m, rasterise
+from jaxurban.io.zone import cell_boxes
 from jaxurban.maps.provenance import _building_record
 from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.metrics.variables import GROUP_NUMBERS

@@ -12,9 +12,9 @@ import pytest
 import shapely
 
 from jaxurban.io.city import City
+from jaxurban.io.orbits import look_angles, read_orbits
+from jaxurban.io.rasterise import build_surface
 from jaxurban.io.read.city import read_buildings
-from jaxurban.io.read.orbits import look_angles, read_orbits
-from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.visibility import bounding_visibility, shadow_reach_m, visibility

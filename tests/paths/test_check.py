@@ -16,7 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 import jaxurban as ju
 from jaxurban.io.city import City
 from jaxurban.io.read.mission_parts import GEOD, Leg, Mission, Place
-from jaxurban.io.read.zone import Zone
+from jaxurban.io.zone import Zone
 from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.planners.base import Status
 from jaxurban.report.check import check_markdown, plot_flown_heights, plot_mission

@@ -13,7 +13,7 @@ from scipy.ndimage import label
 import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.cli.main import app
-from jaxurban.io.read.zone import cell_boxes, touched_cells
+from jaxurban.io.zone import cell_boxes, touched_cells
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.paths.clearance import closing_step_m, distance_to_obstacles_m, kept_m
 from jaxurban.planners.base import Status

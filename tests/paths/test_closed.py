@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.read.zone import Zone
+from jaxurban.io.zone import Zone
 from jaxurban.paths.closed import CAUSES, causes_at, constraints_of, shares_of
 from tests.made_maps import made_maps
 

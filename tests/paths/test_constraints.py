@@ -10,7 +10,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.errors import IgnoredZoneWarning
-from jaxurban.io.read.zone import Zone, cell_boxes
+from jaxurban.io.zone import Zone, cell_boxes
 from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status
 from jaxurban.studies.queries import make_queries

@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.patches import StepPatch
 
 import jaxurban as ju
-from jaxurban.io.read.zone import cell_boxes
+from jaxurban.io.zone import cell_boxes
 from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import GROUP_COLOURS

@@ -14,7 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.cli.plan import plan_command
-from jaxurban.io.read.zone import Zone
+from jaxurban.io.zone import Zone
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.export.qgc_plan import height_note
 from jaxurban.paths.export.write import FORMATS, write_path

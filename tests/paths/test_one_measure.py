@@ -10,7 +10,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.read.mission_parts import Leg, Mission, Place
-from jaxurban.io.read.zone import cell_boxes
+from jaxurban.io.zone import cell_boxes
 from jaxurban.viewer.markup import number
 from jaxurban.viewer.requests import Plan, parse
 from jaxurban.viewer.viewer import TOTALS, Viewer

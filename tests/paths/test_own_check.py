@@ -10,7 +10,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.cli.main import main
-from jaxurban.io.read.zone import Zone
+from jaxurban.io.zone import Zone
 from jaxurban.maps.run import run_scenario
 from tests.paths.volumes import ends_at
 

@@ -8,7 +8,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.io.city import City
-from jaxurban.io.read.zone import Zone, cell_boxes
+from jaxurban.io.zone import Zone, cell_boxes
 from jaxurban.maps import sources
 from jaxurban.paths.export.roof_fences import MOST_VERTICES, roof_fences
 from jaxurban.paths.export.write import write_path

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.read.rasterise import build_surface
+from jaxurban.io.rasterise import build_surface
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.surface import obstacles_on
 from tests.made_maps import city_of_boxes, made_maps

@@ -8,7 +8,7 @@ import shapely
 
 import jaxurban as ju
 from benchmarks.random_routes import READERS
-from jaxurban.io.read.zone import Zone
+from jaxurban.io.zone import Zone
 from jaxurban.planners.base import Status
 from tests.cli_runs import run
 from tests.made_maps import made_maps

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.read.rasterise import rasterise
+from jaxurban.io.rasterise import rasterise
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.settings import ObstacleRule

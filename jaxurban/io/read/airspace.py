@@ -27,10 +27,10 @@ import shapely
 from jaxurban import wings
 from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
-from jaxurban.io.read.broken import BROKEN
+from jaxurban.io.broken import BROKEN
 from jaxurban.io.read.mission_parts import GEOD
-from jaxurban.io.read.zone import TURN, Zone, made_valid
 from jaxurban.io.tables import is_blank
+from jaxurban.io.zone import TURN, Zone, made_valid
 
 # Properties that are read, in any case and with or without "_", "-", " " and ":". All are metres above ground.
 FLOOR_NAMES = (

@@ -10,9 +10,10 @@ import shapely
 
 from jaxurban import settings
 from jaxurban.errors import InputError
+from jaxurban.io.issues import ReadIssue, ReadIssues
+from jaxurban.io.learned import LARGE, Learned, classes_of, learned_from, of_classes
 from jaxurban.io.read.bridges import DECK, bridges_of
 from jaxurban.io.read.heights import estimate_heights, parse_length_m, read_column, with_decks
-from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.kinds import (
     ABOVE_LEVELS_M,
     BRIDGE,
@@ -34,7 +35,6 @@ from jaxurban.io.read.kinds import (
     WALLS,
     WOOD,
 )
-from jaxurban.io.read.learned import LARGE, Learned, classes_of, learned_from, of_classes
 from jaxurban.io.read.outlines import Outlines
 from jaxurban.io.read.solids import prisms_of_solids
 from jaxurban.io.read.stands import is_water, what_stands

@@ -12,11 +12,11 @@ import shapely
 
 from jaxurban.checks import nearest_name
 from jaxurban.errors import InputError, readable
-from jaxurban.io.read.issues import ReadIssue, ReadIssues
+from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.plausible import check_people
 from jaxurban.io.read.raster import RASTER_SUFFIXES, read_bands
-from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import POLYGONS, open_frame, without_collections
+from jaxurban.io.sampling import pixel_xy
 from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
 from jaxurban.world.grid import Bounds, projected_crs, transformer

@@ -1,7 +1,7 @@
 """Files to City. The reader of a file of buildings is chosen by the content of the file.
 
 A further format of outlines takes a module with a function that returns the `Outlines` of a file, at least those near
-a region, a line in `OUTLINE_READERS`, and one in `jaxurban.io.read.sniff`.
+a region, a line in `OUTLINE_READERS`, and one in `jaxurban.io.sniff`.
 """
 
 import math
@@ -20,6 +20,7 @@ from jaxurban import settings
 from jaxurban.checks import one_of
 from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.city import City, joined_credits
+from jaxurban.io.issues import ReadIssue
 from jaxurban.io.read.buildings import to_buildings
 from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.columns import named_columns
@@ -28,7 +29,6 @@ from jaxurban.io.read.guesses import (
     height_guesses,
     structure_guesses,
 )
-from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.lidar import Points, heights_of_points, read_points
 from jaxurban.io.read.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines
@@ -50,12 +50,12 @@ from jaxurban.io.read.raster import (
     read_raster,
     zero_is_ground,
 )
-from jaxurban.io.read.sampling import heights_above, pixel_xy
-from jaxurban.io.read.sniff import LIDAR, sniff
 from jaxurban.io.read.stands import is_water
 from jaxurban.io.read.tiles import ARCHIVE, READERS, read_tiles
 from jaxurban.io.read.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
+from jaxurban.io.sampling import heights_above, pixel_xy
+from jaxurban.io.sniff import LIDAR, sniff
 from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed, warn_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES, Population, check_has_people

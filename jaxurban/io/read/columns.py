@@ -11,8 +11,8 @@ import pyproj
 
 from jaxurban import settings
 from jaxurban.errors import InputError
+from jaxurban.io.issues import ReadIssue
 from jaxurban.io.read.heights import FOOT_M, is_given, parse_length_m, read_column
-from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.kinds import IN_WORDS, KINDS, NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING
 from jaxurban.settings import MAX_HEIGHT_M, Unit
 

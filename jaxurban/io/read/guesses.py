@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxurban import settings
+from jaxurban.io.issues import ReadIssue, ReadIssues, listed_counts
+from jaxurban.io.learned import CLASSES, Learned
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
-from jaxurban.io.read.issues import ReadIssue, ReadIssues, listed_counts
-from jaxurban.io.read.learned import CLASSES, Learned
 from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import lonlat_boxes

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban import settings
-from jaxurban.io.read.issues import ReadIssue, ReadIssues
+from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.tables import is_blank
 from jaxurban.settings import MAX_HEIGHT_M
 from jaxurban.world.footprints import Footprints, HeightOrigin

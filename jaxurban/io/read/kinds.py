@@ -22,8 +22,8 @@ import math
 from dataclasses import dataclass
 from operator import attrgetter
 
-from jaxurban.io.read.issues import ReadIssue
-from jaxurban.io.read.learned import PACKAGED
+from jaxurban.io.issues import ReadIssue
+from jaxurban.io.learned import PACKAGED
 from jaxurban.world.footprints import UNKNOWN
 from jaxurban.world.kinds import MOST_WOOD_M
 

@@ -13,9 +13,9 @@ from pyproj.exceptions import CRSError
 from rasterio.fill import fillnodata
 
 from jaxurban.errors import InputError, readable
-from jaxurban.io.read.issues import ReadIssues
+from jaxurban.io.issues import ReadIssues
 from jaxurban.io.read.raster import heights_of_surface, unit_of_heights_m
-from jaxurban.io.read.sniff import in_own_words
+from jaxurban.io.sniff import in_own_words
 from jaxurban.world.grid import check_on_earth, known_crs
 from jaxurban.world.raster import Raster
 

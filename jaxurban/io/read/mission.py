@@ -44,8 +44,8 @@ import pandas as pd
 
 from jaxurban.checks import finite, one_of, positive
 from jaxurban.errors import InputError, readable
+from jaxurban.io.broken import BROKEN
 from jaxurban.io.files import UNPACKING
-from jaxurban.io.read.broken import BROKEN
 from jaxurban.io.read.mission_dji import read_wpml, unzipped
 from jaxurban.io.read.mission_items import read_plan, read_waypoints
 from jaxurban.io.read.mission_lines import (
@@ -56,8 +56,8 @@ from jaxurban.io.read.mission_lines import (
     xml_lines,
 )
 from jaxurban.io.read.mission_parts import DATUMS, DamagedError, Datum, LonLat, Mission, check_place
-from jaxurban.io.read.tracks import LAT, LON, UTC, track_of
 from jaxurban.io.read.ulog import ulog_lines
+from jaxurban.io.tracks import LAT, LON, UTC, track_of
 
 ITEM_READERS = {
     ".plan": read_plan,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from jaxurban.io.read.zone import Zone
+from jaxurban.io.zone import Zone
 from jaxurban.world.extent import polygonal
 from jaxurban.world.grid import WGS84, transformer
 

@@ -35,7 +35,7 @@ from jaxurban.io.read.mission_parts import (
     number_of,
     one_value,
 )
-from jaxurban.io.read.routes import ALTITUDE_PROPERTY
+from jaxurban.io.routes import ALTITUDE_PROPERTY
 
 OWN = "jaxurban"  # what it calls itself as the creator of GPX
 OWN_HEIGHT = re.compile(r"(-?[\d.]+) m above ground")  # of its points there

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import pyproj
 
-from jaxurban.io.read.zone import Zone
+from jaxurban.io.zone import Zone
 
 Datum = Literal["home", "ground", "geoid", "ellipsoid"]  # what a height is above
 Profile = Literal["frame", "straight", "both"]  # how a leg runs between the heights of its ends

@@ -15,8 +15,8 @@ from osmium.filter import EntityFilter, KeyFilter
 from osmium.geom import use_nodes
 
 from jaxurban.errors import readable
+from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.columns import tags_of
-from jaxurban.io.read.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.kinds import (
     BY_VALUE,
     KINDS,
@@ -29,7 +29,7 @@ from jaxurban.io.read.kinds import (
 )
 from jaxurban.io.read.osm_plain import plain_osm
 from jaxurban.io.read.outlines import Outlines
-from jaxurban.io.read.sniff import in_own_words, sniff, unpacked
+from jaxurban.io.sniff import in_own_words, sniff, unpacked
 from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import WGS84, Bounds
 

@@ -20,7 +20,7 @@ import osmium
 from osmium.osm.mutable import Node, Relation, Way
 
 from jaxurban.errors import InputError, readable
-from jaxurban.io.read.sniff import in_own_words, scratch_folder, sniff, unpacked
+from jaxurban.io.sniff import in_own_words, scratch_folder, sniff, unpacked
 
 OBJECTS = ("node", "way", "relation")  # in the order of a file
 EDITED = re.compile(rb"""\sid=["']-|action=["']delete""")

@@ -12,7 +12,7 @@ import pandas as pd
 from pyproj.exceptions import ProjError
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.issues import ReadIssues
+from jaxurban.io.issues import ReadIssues
 from jaxurban.world.grid import Bounds, known_crs, transformer
 
 MARGIN_M = 1000.0  # more than projections tilt boxes against each other, and than most outlines and their parts reach

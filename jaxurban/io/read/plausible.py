@@ -8,7 +8,7 @@ import shapely
 from rasterio.fill import fillnodata
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.burn import UNKNOWN_GROUND_M, burn_heights
+from jaxurban.io.burn import UNKNOWN_GROUND_M, burn_heights
 from jaxurban.io.read.kinds import WOOD
 from jaxurban.io.read.raster import (
     GROUND_M,
@@ -17,7 +17,7 @@ from jaxurban.io.read.raster import (
     raster_window,
     read_raster,
 )
-from jaxurban.io.read.sampling import raster_values, resample_raster
+from jaxurban.io.sampling import raster_values, resample_raster
 from jaxurban.knowledge import Guesses, GuessKind, guessed
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, covering_grid

@@ -15,9 +15,9 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from jaxurban.errors import InputError, readable, warn
+from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.read.companions import check_companions, companions
-from jaxurban.io.read.issues import ReadIssue, ReadIssues
-from jaxurban.io.read.sampling import heights_above, pixel_xy, transformed
+from jaxurban.io.sampling import heights_above, pixel_xy, transformed
 from jaxurban.knowledge import Guesses, GuessKind, guessed
 from jaxurban.world.grid import WGS84, Bounds, check_on_earth, known_crs, transformer, where_it_lies
 from jaxurban.world.raster import Raster

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, readable, warn
-from jaxurban.io.read.ephemerides import (
+from jaxurban.io.ephemerides import (
     J2000_S,
     WEEK_S,
     check_time_scale,
@@ -17,8 +17,10 @@ from jaxurban.io.read.ephemerides import (
     loaded,
     utc_of,
 )
-from jaxurban.io.read.sniff import HEAD_BYTES, sniff, unpacked
-from jaxurban.io.read.tracks import (
+from jaxurban.io.samples import located
+from jaxurban.io.sniff import HEAD_BYTES, sniff, unpacked
+from jaxurban.io.tables import read_table
+from jaxurban.io.tracks import (
     AZIMUTH,
     CN0,
     ELEVATION,
@@ -33,8 +35,6 @@ from jaxurban.io.read.tracks import (
     fixes_of,
     renamed,
 )
-from jaxurban.io.samples import located
-from jaxurban.io.tables import read_table
 from jaxurban.progress import LOG
 from jaxurban.world.grid import transformer
 

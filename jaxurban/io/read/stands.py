@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from jaxurban.io.issues import LEFT_OUT, ReadIssue, ReadIssues
 from jaxurban.io.read.bridges import DECK, is_raised
 from jaxurban.io.read.heights import is_given, parse_count, parse_height_m, read_column
-from jaxurban.io.read.issues import LEFT_OUT, ReadIssue, ReadIssues
 from jaxurban.io.read.kinds import (
     BRIDGE,
     BY_VALUE,

@@ -8,13 +8,14 @@ from xml.parsers.expat import ExpatError
 
 from jaxurban import settings
 from jaxurban.errors import GuessWarning, InputError, readable, warn
+from jaxurban.io.broken import BROKEN
 from jaxurban.io.files import UNPACKING, visible_files
 from jaxurban.io.read.bodies import outlines_of
-from jaxurban.io.read.broken import BROKEN
 from jaxurban.io.read.citygml import read_citygml
 from jaxurban.io.read.cityjson import read_cityjson
 from jaxurban.io.read.outlines import Near, Outlines, joined_outlines
-from jaxurban.io.read.sniff import (
+from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
+from jaxurban.io.sniff import (
     DATABASE,
     MOST_TIMES,
     MOST_UNPACKED,
@@ -24,7 +25,6 @@ from jaxurban.io.read.sniff import (
     sniff,
     unpacked,
 )
-from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 
 READERS = {".gml": read_citygml, ".city.json": read_cityjson}
 ARCHIVE = ".zip"

@@ -9,7 +9,7 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.io.read.mission_lines import Line, Shapes
 from jaxurban.io.read.mission_parts import DamagedError
-from jaxurban.io.read.sniff import in_own_words
+from jaxurban.io.sniff import in_own_words
 
 TOPIC = "vehicle_gps_position"
 MESSAGES = b"ABCDFILMOPQRS"  # their types, each a byte

@@ -19,15 +19,15 @@ import shapely
 from jaxurban import settings
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.geoparquet import read_geoparquet
+from jaxurban.io.issues import ReadIssue
 from jaxurban.io.read.bridges import is_raised
 from jaxurban.io.read.columns import is_of_buildings, named_columns, tags_of, tags_of_table
 from jaxurban.io.read.companions import REFERS, check_companions
 from jaxurban.io.read.heights import is_given
-from jaxurban.io.read.issues import ReadIssue
 from jaxurban.io.read.kinds import BY_VALUE, IN_WORDS, KINDS, WATERS
 from jaxurban.io.read.outlines import Near, Outlines
-from jaxurban.io.read.sniff import DATABASE, HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
 from jaxurban.io.read.solids import openable, streamed
+from jaxurban.io.sniff import DATABASE, HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
 from jaxurban.world.extent import extent_of, meets
 from jaxurban.world.grid import MOST_OF_CRS, OPENS_FILE, WGS84, check_on_earth, known_crs
 

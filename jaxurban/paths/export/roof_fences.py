@@ -14,7 +14,7 @@ import shapely
 
 from jaxurban.checks import positive
 from jaxurban.errors import InputError
-from jaxurban.io.read.zone import made_valid
+from jaxurban.io.zone import made_valid
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.maps.sources import standing_on
 from jaxurban.paths.contacts import buildings_of

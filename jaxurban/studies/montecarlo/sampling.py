@@ -12,7 +12,7 @@ from scipy.ndimage import label, uniform_filter
 
 from jaxurban.checks import at_least, one_of, typed
 from jaxurban.errors import InputError
-from jaxurban.io.read.burn import burn
+from jaxurban.io.burn import burn
 from jaxurban.io.tables import read_table
 from jaxurban.maps.levels import index_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps

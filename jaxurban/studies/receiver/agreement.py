@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.tracks import LAT, LON, UTC
+from jaxurban.io.tracks import LAT, LON, UTC
 from jaxurban.satellites.outlines import Hiding
 from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN, is_seen
 from jaxurban.studies.receiver.drive import Drive

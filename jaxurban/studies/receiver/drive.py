@@ -11,10 +11,10 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import highest_top_m
+from jaxurban.io.rasterise import highest_top_m
 from jaxurban.io.read.receivers import read_log
-from jaxurban.io.read.tracks import AZIMUTH, CN0, LAT, LON, UTC
 from jaxurban.io.samples import log_of
+from jaxurban.io.tracks import AZIMUTH, CN0, LAT, LON, UTC
 from jaxurban.knowledge import Guesses
 from jaxurban.maps.run import scenario_grid
 from jaxurban.maps.scenario import Scenario

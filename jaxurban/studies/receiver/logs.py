@@ -10,7 +10,9 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.tracks import (
+from jaxurban.io.samples import located
+from jaxurban.io.tables import read_table
+from jaxurban.io.tracks import (
     AZIMUTH,
     CN0,
     ELEVATION,
@@ -26,8 +28,6 @@ from jaxurban.io.read.tracks import (
     checked,
     renamed,
 )
-from jaxurban.io.samples import located
-from jaxurban.io.tables import read_table
 
 OF_SATELLITES = (SATELLITE, CN0, AZIMUTH, ELEVATION)
 EPOCH = "epoch"

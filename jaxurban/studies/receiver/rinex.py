@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from jaxurban.io.read.orbits import Orbits, look_angles, read_orbits, rinex_name
-from jaxurban.io.read.tracks import AZIMUTH, CN0, ELEVATION, HEIGHT, LAT, LON, SATELLITE, UTC
+from jaxurban.io.orbits import Orbits, look_angles, read_orbits, rinex_name
+from jaxurban.io.tracks import AZIMUTH, CN0, ELEVATION, HEIGHT, LAT, LON, SATELLITE, UTC
 from jaxurban.studies.receiver.logs import ReceiverLog, table_log
 
 NO_MESSAGE = "no navigation message of the time"

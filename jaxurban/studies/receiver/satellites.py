@@ -10,8 +10,8 @@ import shapely
 
 from jaxurban import wings
 from jaxurban.io.city import City
-from jaxurban.io.read.orbits import matching
-from jaxurban.io.read.tracks import AZIMUTH, CN0, ELEVATION, SATELLITE
+from jaxurban.io.orbits import matching
+from jaxurban.io.tracks import AZIMUTH, CN0, ELEVATION, SATELLITE
 from jaxurban.satellites.track import NUM_VISIBLE, Track
 from jaxurban.studies.receiver.logs import EPOCH, ReceiverLog
 from jaxurban.studies.receiver.settings import EVERYWHERE, OF_CITY

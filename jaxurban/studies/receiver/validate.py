@@ -14,8 +14,8 @@ from typing import Any
 import pandas as pd
 
 from jaxurban.checks import typed
-from jaxurban.io.read.tracks import UTC
 from jaxurban.io.results import Result
+from jaxurban.io.tracks import UTC
 from jaxurban.knowledge import Caution, Guesses
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, Report, reporting

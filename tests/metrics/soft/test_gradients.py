@@ -9,7 +9,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import build_surface, building_index, rasterise
+from jaxurban.io.rasterise import build_surface, building_index, rasterise
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
 from jaxurban.metrics.gps import Gps, soft_gps

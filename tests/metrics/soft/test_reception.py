@@ -15,7 +15,7 @@ from scipy.special import expit
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
-from jaxurban.io.read.rasterise import build_surface
+from jaxurban.io.rasterise import build_surface
 from jaxurban.kernels.dop import dops, unit_vectors
 from jaxurban.kernels.shadows.sweep import (
     digital_line,

@@ -18,10 +18,10 @@ from skyfield.api import EarthSatellite, wgs84
 from skyfield.iokit import parse_tle_file
 
 from jaxurban.errors import InputError, StaleElementsWarning, readable, warn
-from jaxurban.io.read.ephemerides import Ephemeris, read_ephemerides, timescale, utc_of
-from jaxurban.io.read.nominal import GPS, MARK, nominal_satellites
-from jaxurban.io.read.sniff import sniff, unpacked
+from jaxurban.io.ephemerides import Ephemeris, read_ephemerides, timescale, utc_of
+from jaxurban.io.nominal import GPS, MARK, nominal_satellites
 from jaxurban.io.samples import located
+from jaxurban.io.sniff import sniff, unpacked
 from jaxurban.settings import NOMINAL, iso_utc, parse_time
 from jaxurban.world.sky import Sky
 

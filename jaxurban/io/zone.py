@@ -122,7 +122,7 @@ def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:
     # Imported here: it brings JAX.
     from scipy.ndimage import binary_dilation
 
-    from jaxurban.io.read.burn import burn
+    from jaxurban.io.burn import burn
 
     wider = grid.padded(1, 1, 1, 1)
     closed = burn(np.array([polygon]), np.ones(1), wider, 0, "int32")[1] == 1

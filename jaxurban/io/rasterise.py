@@ -10,9 +10,9 @@ import numpy as np
 
 from jaxurban import wings
 from jaxurban.errors import InputError
+from jaxurban.io.burn import UNKNOWN_GROUND_M, burn, burn_heights
 from jaxurban.io.city import WOOD, City, Counted
-from jaxurban.io.read.burn import UNKNOWN_GROUND_M, burn, burn_heights
-from jaxurban.io.read.sampling import resample_raster
+from jaxurban.io.sampling import resample_raster
 from jaxurban.kernels.blocks import part_of, rounded_up
 from jaxurban.metrics.custom import Layer, check_values
 from jaxurban.settings import SLABS, highest_of

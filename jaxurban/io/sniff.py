@@ -84,7 +84,7 @@ def in_own_words(*errors: type[Exception]) -> Iterator[None]:
     Raises:
       ValueError: the file is damaged.
     """
-    from jaxurban.io.read.broken import BROKEN  # imported here: it brings Shapely
+    from jaxurban.io.broken import BROKEN  # imported here: it brings Shapely
 
     caught = (OSError, *BROKEN, *errors)
     try:
