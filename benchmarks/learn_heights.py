@@ -20,10 +20,10 @@ from scipy.stats import beta
 
 import jaxurban as ju
 from benchmarks.common import table
+from jaxurban.cities import buildings as reader
+from jaxurban.cities.city import lonlat_extent, read_buildings
 from jaxurban.io.city import City
 from jaxurban.io.learned import CLASSES, LIKELY_SHARE, classes_of, likely_of
-from jaxurban.io.read import buildings as reader
-from jaxurban.io.read.city import lonlat_extent, read_buildings
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import utm_of
 

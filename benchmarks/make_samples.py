@@ -19,14 +19,14 @@ import shapely
 from sgp4.exporter import export_tle
 from skyfield.api import load
 
+from jaxurban.cities.base_map import read_base_map
+from jaxurban.cities.census import read_blocks, read_districts
+from jaxurban.cities.land_cover import projected
+from jaxurban.cities.osm import OSM_CREDIT, header_box, read_osm
+from jaxurban.cities.outlines import Outlines, joined_outlines
+from jaxurban.cities.stands import is_water, what_stands
 from jaxurban.io.geoparquet import write_geoparquet
 from jaxurban.io.nominal import GPS, MARK, Constellation, nominal_satellites
-from jaxurban.io.read.base_map import read_base_map
-from jaxurban.io.read.census import read_blocks, read_districts
-from jaxurban.io.read.land_cover import projected
-from jaxurban.io.read.osm import OSM_CREDIT, header_box, read_osm
-from jaxurban.io.read.outlines import Outlines, joined_outlines
-from jaxurban.io.read.stands import is_water, what_stands
 from jaxurban.io.samples import (
     BASE_MAP_FILE,
     BUILDINGS_FILE,

@@ -4,7 +4,7 @@
 OpenStreetMap's XML, GeoJSON, GeoPackage, Shapefile and GeoParquet, in the ways that tools and offices write them, and
 flies through, beside, over and away from what stands. It prints tables by format, by style and by edit: flights that
 meet something, that are free, false Clean and invented findings, and what OGR confirms of the first cities.
-``--against`` also prints the flights of which another checkout says something else. ``tests/io/cities`` holds the
+``--against`` also prints the flights of which another checkout says something else. ``tests/cities/generator`` holds the
 cities and the judge.
 """
 
@@ -27,8 +27,8 @@ import pandas as pd
 from tqdm import tqdm
 
 from benchmarks.common import table
-from tests.io.cities import verdicts
-from tests.io.cities.trial import NO_FREE, city_of, trial, unseen, write_city
+from tests.cities.generator import verdicts
+from tests.cities.generator.trial import NO_FREE, city_of, trial, unseen, write_city
 
 CHUNK = 10  # cities that a process tries at a time
 NUM_SEEN = 60  # cities that OGR reads

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import ROOT
+from jaxurban.cities.city import read_buildings
+from jaxurban.cities.synthetic import demo_city_for_bounds
 from jaxurban.io.city import City
-from jaxurban.io.read.city import read_buildings
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
-from jaxurban.samples.synthetic import demo_city_for_bounds
 from jaxurban.settings import Buildings
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky

@@ -20,6 +20,8 @@ import pandas as pd
 import shapely
 
 from benchmarks.common import exit_code
+from jaxurban.cities.samples import sample_city
+from jaxurban.cities.synthetic import demo_city
 from jaxurban.errors import InputError, readable
 from jaxurban.io.files import digest_of, whole_file, write_whole
 from jaxurban.io.tables import read_table, records_of, write_table
@@ -37,8 +39,6 @@ from jaxurban.planners.cost import CostModel
 from jaxurban.planners.exposure import within_budgets
 from jaxurban.planners.refine import refine
 from jaxurban.progress import Progress, reporting
-from jaxurban.samples.cities import sample_city
-from jaxurban.samples.synthetic import demo_city
 from jaxurban.settings import SampleName
 from jaxurban.studies.montecarlo.sampling import sample_joined
 

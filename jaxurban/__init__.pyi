@@ -2,6 +2,8 @@ from jaxurban import fit as fit
 from jaxurban import grad as grad
 from jaxurban import metrics as metrics
 from jaxurban import studies as studies
+from jaxurban.cities.samples import sample_city as sample_city
+from jaxurban.cities.synthetic import demo_city as demo_city
 from jaxurban.errors import GuessWarning as GuessWarning
 from jaxurban.errors import InputError as InputError
 from jaxurban.errors import JaxurbanError as JaxurbanError
@@ -41,8 +43,6 @@ from jaxurban.paths.to_go import cost_to_go as cost_to_go
 from jaxurban.paths.when import Departures as Departures
 from jaxurban.paths.when import when as when
 from jaxurban.planners.cost import CostModel as CostModel
-from jaxurban.samples.cities import sample_city as sample_city
-from jaxurban.samples.synthetic import demo_city as demo_city
 from jaxurban.satellites.along import SkyAlong as SkyAlong
 from jaxurban.satellites.along import SkyAt as SkyAt
 from jaxurban.satellites.along import sky as sky

@@ -229,7 +229,7 @@ class Buildings(Heights):
         model); ``"to_ground"``: they reach it.
       credit: what the licence of the file asks for; OSM's is known.
       height_column: of a table of outlines: the column of roofs above the ground, or, with ``ground_column``, above the
-        sea; left out, known by its name or its publisher (`jaxurban.io.read.columns`), else asked for.
+        sea; left out, known by its name or its publisher (`jaxurban.cities.columns`), else asked for.
       ground_column: elevation of the ground, in the same unit.
       levels_column: number of levels; left out, known by its name.
       unit: of numbers in ``height_column`` that name none.

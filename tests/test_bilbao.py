@@ -8,8 +8,8 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from benchmarks.random_routes import read_plan
+from jaxurban.cities.raster import read_raster
 from jaxurban.cli.main import app
-from jaxurban.io.read.raster import read_raster
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.ground import elevation_at

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from jaxurban.cities.synthetic import demo_city
 from jaxurban.io import store, stored
 from jaxurban.io.city import City
 from jaxurban.maps.build import compute_maps
@@ -16,7 +17,6 @@ from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.progress import Report
-from jaxurban.samples.synthetic import demo_city
 from jaxurban.world.grid import Grid
 from jaxurban.world.raster import Raster
 from jaxurban.world.sky import Sky

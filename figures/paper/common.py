@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
 
 import jaxurban as ju
-from jaxurban.io.read.census import read_blocks, read_districts
+from jaxurban.cities.census import read_blocks, read_districts
 from jaxurban.io.samples import SAMPLES
 from jaxurban.maps.run import ScenarioRun, run_scenario
 from jaxurban.maps.scenario import Scenario

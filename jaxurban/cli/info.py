@@ -111,11 +111,11 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     """
     import numpy as np
 
+    from jaxurban.cities.city import lonlat_extent
+    from jaxurban.cities.lidar import read_points
+    from jaxurban.cities.raster import RASTER_SUFFIXES, read_raster
     from jaxurban.io.city import City
     from jaxurban.io.issues import listed_counts
-    from jaxurban.io.read.city import lonlat_extent
-    from jaxurban.io.read.lidar import read_points
-    from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
     from jaxurban.settings import Buildings
     from jaxurban.world.grid import WGS84
 

@@ -15,11 +15,11 @@ from typing import Any
 
 import click
 
+from jaxurban.cities.fetch_command import fetch_command
 from jaxurban.cli.check import check_command
 from jaxurban.cli.common import logged_on_stderr, print_json
 from jaxurban.cli.compare import compare_command
 from jaxurban.cli.demo import demo_command
-from jaxurban.cli.fetch import fetch_command
 from jaxurban.cli.home import return_command
 from jaxurban.cli.info import info_command
 from jaxurban.cli.maps import maps_command

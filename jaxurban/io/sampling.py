@@ -67,7 +67,7 @@ def raster_values(
     """Return a raster's values at places, NaN where it has none, as `resample_raster` takes them at cells' centres.
 
     Args:
-      raster: from `jaxurban.io.read.raster.read_raster`.
+      raster: from `jaxurban.cities.raster.read_raster`.
       x, y: coordinates of the places in ``crs``, arrays of one shape, which is that of the result.
       crs: any that pyproj knows.
       method: ``"nearest"`` or ``"bilinear"``.

@@ -73,7 +73,7 @@ class Population:
         (WorldPop, GHSL, LandScan).
       block_field: field of the blocks file with one id a block.
       table: CSV of population with one header row or two (the second is words where the first names columns); its
-        columns of ids and of counts are found by what they hold (`jaxurban.io.read.census`). None: the count is a
+        columns of ids and of counts are found by what they hold (`jaxurban.cities.census`). None: the count is a
         field of the blocks file.
       column: of the table, or of the blocks file without one, that holds the people; left out, known by its name.
       districts: district polygons, blocks take the one of largest overlap; left out, every block is in district 13.

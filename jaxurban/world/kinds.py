@@ -36,7 +36,7 @@ ALL_KINDS: tuple[KindName, ...] = get_args(KindName)
 PLANTS = "tree", "wood"
 WIRES = "wire", "cableway"
 OTHERS = "other structures"
-MOST_WOOD_M = 45.0  # no wood of unknown height is higher (`jaxurban.io.read.kinds` says why)
+MOST_WOOD_M = 45.0  # no wood of unknown height is higher (`jaxurban.cities.kinds` says why)
 
 
 class Effects(NamedTuple):

@@ -13,12 +13,12 @@ from rasterio.features import rasterize
 from scipy.ndimage import label
 
 import jaxurban as ju
+from jaxurban.cities.buildings import to_buildings
+from jaxurban.cities.city import read_buildings
+from jaxurban.cities.osm import read_osm
 from jaxurban.io.burn import burn
 from jaxurban.io.city import City
 from jaxurban.io.rasterise import build_surface, rasterise
-from jaxurban.io.read.buildings import to_buildings
-from jaxurban.io.read.city import read_buildings
-from jaxurban.io.read.osm import read_osm
 from jaxurban.io.zone import cell_boxes, touched_cells
 from jaxurban.metrics.visibility import visibility
 from jaxurban.settings import SLABS, TO_GROUND

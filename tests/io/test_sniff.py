@@ -19,14 +19,14 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.cities.city import OUTLINE_READERS, lonlat_extent, read_buildings
+from jaxurban.cities.osm import read_osm
+from jaxurban.cities.osm_plain import plain_osm
+from jaxurban.cities.outlines import Near
+from jaxurban.cities.vector import read_vector
 from jaxurban.errors import GuessWarning
 from jaxurban.io import sniff as sniffing
 from jaxurban.io.issues import ReadIssue
-from jaxurban.io.read.city import OUTLINE_READERS, lonlat_extent, read_buildings
-from jaxurban.io.read.osm import read_osm
-from jaxurban.io.read.osm_plain import plain_osm
-from jaxurban.io.read.outlines import Near
-from jaxurban.io.read.vector import read_vector
 from jaxurban.io.sniff import sniff, unpacked
 from jaxurban.world.grid import box_of
 from tests.cli_runs import assert_one_sentence, run

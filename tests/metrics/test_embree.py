@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import shapely
 
+from jaxurban.cities.city import read_buildings
 from jaxurban.io.city import City
 from jaxurban.io.orbits import look_angles, read_orbits
 from jaxurban.io.rasterise import build_surface
-from jaxurban.io.read.city import read_buildings
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.visibility import bounding_visibility, shadow_reach_m, visibility

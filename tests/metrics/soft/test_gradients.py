@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxurban.cities.synthetic import demo_city
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.rasterise import build_surface, building_index, rasterise
@@ -16,7 +17,6 @@ from jaxurban.metrics.gps import Gps, soft_gps
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
 from jaxurban.metrics.visibility import SkyView
-from jaxurban.samples.synthetic import demo_city
 from jaxurban.world.grid import Grid
 from jaxurban.world.raster import Raster
 from jaxurban.world.surface import NO_BUILDING, roofs_of

@@ -15,8 +15,8 @@ import rasterio
 import shapely
 from scipy.interpolate import RegularGridInterpolator
 
-from tests.io.cities import plant
-from tests.io.cities.extracts import FROM_EXTRACTS
+from tests.cities.generator import plant
+from tests.cities.generator.extracts import FROM_EXTRACTS
 
 CRS, CORNER_M = "EPSG:32618", (583_000.0, 4_506_000.0)  # in Lower Manhattan
 SIDE_M, MARGIN_M = 500.0, 160.0  # of the maps, and by how much files reach beyond them

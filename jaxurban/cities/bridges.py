@@ -1,0 +1,104 @@
+"""Bridges: how high a deck is guessed to lie, what none of its kind exceeds, and how wide it is.
+
+Over freeways the least clearance is 16 ft, 4.9 m (AASHTO, A Policy on Geometric Design of Highways and Streets). A
+layer of OpenStreetMap orders what crosses and is no height; one more is taken as one more such clearance with its deck,
+and as 12 m at most. Bounds are choices: 100 m for the kinds that lead over valleys or carry their load above the deck,
+and 350 m for those that hang on towers (Millau: 343 m), or may, as they lead far over water. A height that a bridge
+names bounds its deck alone.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.cities.heights import parse_count, read_column
+from jaxurban.cities.kinds import BRIDGE
+from jaxurban.cities.outlines import Outlines
+
+LAYER_LIMIT_M, ABOVE_LAYERS_M = 12.0, 10.0
+HIGH_M, HANGING_M = 100.0, 350.0
+HIGH = (  # words of kinds and structures
+    *("aqueduct", "arch", "bascule", "cantilever", "draw", "extradosed", "lift", "movable"),
+    *("swing", "trestle", "truss", "viaduct"),
+)
+HANGING = ("suspension", "cable")
+LONG_M = 300.0  # the longest girders of beams span as far
+JOINED_M = 1.0  # ways so near each other are one bridge
+DECK = "bridge"  # of the tag man_made
+# Half widths of ways whose width is not known: a lane is 3.75 m wide, and beside the lanes lie shoulders.
+LANE_M, SHOULDERS_M = 3.75, 3.0
+NARROW = ("footway", "cycleway", "path", "pedestrian", "steps", "bridleway", "corridor")
+LANES = {"motorway": 4, "trunk": 4, **dict.fromkeys(NARROW, 1)}  # where the number is not known
+NUM_LANES = 2  # of all others
+
+
+class Bridges(NamedTuple):
+    """Sizes of bridges, ``[N]`` each: a deck's height, the bound, and half the width of a line."""
+
+    height_m: np.ndarray
+    limit_m: np.ndarray
+    radius_m: np.ndarray
+
+
+def bridges_of(outlines: Outlines, waters: np.ndarray) -> Bridges:
+    """Return the sizes of bridges.
+
+    Args:
+      outlines: ``N`` bridges in a projected CRS, with their tags.
+      waters: shapes of what bridges may cross; without any, every bridge may cross some.
+    """
+    layer = np.fmax(read_column(outlines.column("layer"), parse_count), 1.0)
+    kind = outlines.texts("bridge")
+    structure = outlines.texts("bridge_structure")
+    movable = outlines.texts("bridge_movable")
+    words = [f"{each} {of_it}" for each, of_it in zip(kind, structure, strict=True)]
+    is_high, is_hanging = (
+        np.array([any(word in text for word in named) for text in words], bool)
+        for named in (HIGH, HANGING)
+    )
+    is_high |= (outlines.texts("man_made") == DECK) | ~np.isin(movable, ("", "no"))
+    is_hanging |= _is_long(outlines.polygons) & _crosses(outlines.polygons, waters)
+
+    lanes = read_column(outlines.column("lanes"), parse_count)
+    by_kind = [LANES.get(text, NUM_LANES) for text in outlines.texts("highway")]
+    lanes = np.where(lanes > 0, lanes, by_kind)
+    return Bridges(
+        BRIDGE.height_m * layer,
+        np.maximum(
+            LAYER_LIMIT_M * layer + ABOVE_LAYERS_M,
+            np.select([is_hanging, is_high], [HANGING_M, HIGH_M], 0.0),
+        ),
+        (LANE_M * lanes + SHOULDERS_M) / 2,
+    )
+
+
+def is_raised(outlines: Outlines) -> np.ndarray:
+    """Return ``[N]`` whether something of traffic lies on a layer above the ground."""
+    layer = read_column(outlines.column("layer"), parse_count)
+    is_traffic = (outlines.texts("highway") != "") | (outlines.texts("railway") != "")
+    return is_traffic & (layer > 0)
+
+
+def _is_long(shapes: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` whether a bridge is longer than `LONG_M`, with all that join it."""
+    one, other = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=JOINED_M)
+    # Each has the number of the first that joins it; that of SciPy would take longer to load.
+    bridge = np.arange(len(shapes))
+    before = np.zeros(0, int)
+    while not np.array_equal(bridge, before):
+        before = bridge.copy()
+        np.minimum.at(bridge, one, bridge[other])
+        bridge = bridge[bridge]
+    bounds_m = pd.DataFrame(shapely.bounds(shapes)).groupby(bridge)
+    low_m, high_m = bounds_m[[0, 1]].transform("min"), bounds_m[[2, 3]].transform("max")
+    return np.hypot(*(high_m.to_numpy() - low_m.to_numpy()).T) > LONG_M
+
+
+def _crosses(shapes: np.ndarray, waters: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` whether a bridge crosses water, or may."""
+    if not len(waters):
+        return np.ones(len(shapes), bool)
+    bridge, _ = shapely.STRtree(waters).query(shapes, predicate="intersects")
+    return np.isin(np.arange(len(shapes)), bridge)

@@ -1,0 +1,626 @@
+"""Files to City. The reader of a file of buildings is chosen by the content of the file.
+
+A further format of outlines takes a module with a function that returns the `Outlines` of a file, at least those near
+a region, a line in `OUTLINE_READERS`, and one in `jaxurban.io.sniff`.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyproj
+import shapely
+
+from jaxurban import settings
+from jaxurban.checks import one_of
+from jaxurban.cities.buildings import to_buildings
+from jaxurban.cities.census import read_blocks
+from jaxurban.cities.columns import named_columns
+from jaxurban.cities.guesses import (
+    census_guesses,
+    height_guesses,
+    structure_guesses,
+)
+from jaxurban.cities.lidar import Points, heights_of_points, read_points
+from jaxurban.cities.osm import OSM_SUFFIXES, header_box, read_osm
+from jaxurban.cities.outlines import Near, Outlines
+from jaxurban.cities.plausible import (
+    TALLEST_PLANT_M,
+    check_are_heights,
+    filled_terrain,
+    pixel_guesses,
+    plants_guesses,
+    read_plants,
+    terrain_guesses,
+)
+from jaxurban.cities.raster import (
+    RASTER_SUFFIXES,
+    check_is_no_surface,
+    check_range,
+    heights_of_surface,
+    raster_extent_m,
+    read_raster,
+    zero_is_ground,
+)
+from jaxurban.cities.stands import is_water
+from jaxurban.cities.tiles import ARCHIVE, READERS, read_tiles
+from jaxurban.cities.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
+from jaxurban.errors import GuessWarning, InputError, warn
+from jaxurban.io.city import City, joined_credits
+from jaxurban.io.issues import ReadIssue
+from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
+from jaxurban.io.sampling import heights_above, pixel_xy
+from jaxurban.io.sniff import LIDAR, sniff
+from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed, warn_of
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.population import FILES, Population, check_has_people
+from jaxurban.settings import SLABS
+from jaxurban.world.extent import MAIN_SHARE, main_bounds, meets
+from jaxurban.world.grid import (
+    WGS84,
+    Bounds,
+    box_of,
+    check_bounds,
+    known_crs,
+    projected_crs,
+    transformer,
+    utm_of,
+    where_it_lies,
+)
+from jaxurban.world.kinds import ALL_KINDS, KindName
+from jaxurban.world.raster import Raster
+
+OutlineReader = Callable[..., Outlines]  # of a path, a `Near` or None, and settings or None
+
+
+def _read_osm(path: Path, near: Near | None, file: settings.Buildings | None) -> Outlines:
+    """Return all outlines of OpenStreetMap, as nodes lie anywhere before their ways; it has no columns to name."""
+    return read_osm(path)
+
+
+OUTLINE_READERS: dict[str, OutlineReader] = {  # by `sniff`, or by the file's own suffix
+    **dict.fromkeys(OSM_SUFFIXES, _read_osm),
+    **dict.fromkeys((*VECTOR_SUFFIXES, *OTHER_SUFFIXES), read_vector),
+    **dict.fromkeys((*READERS, ARCHIVE), read_tiles),
+}
+COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of outlines"
+GEOD = pyproj.Geod(ellps="WGS84")
+GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
+BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
+ROOF_RANGE_M = (
+    -100.0,
+    HIGHEST_M,
+)  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
+SMALL_BYTES = 16 * 2**20  # of a file of outlines
+TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
+PLANTS_REACH_M = 1000.0  # farther than a lidar of a drone sees
+RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
+
+
+def read_city(
+    buildings: settings.Buildings,
+    *,
+    bounds: Sequence[float] | None,
+    crs: str | None,
+    population: Population | None,
+    terrain: settings.Terrain,
+    gps: Gps | None,
+    vegetation: settings.Vegetation,
+    kinds: tuple[KindName, ...],
+) -> City:
+    """Return the city that files hold around a region; arguments, warnings and errors are as of `City.from_files`."""
+    # Lidar points are of the ground and of plants too. What was read of a file before may have changed.
+    read_points.cache_clear()
+    if sniff(located(buildings.source)) == LIDAR:
+        terrain = replace(terrain, source=terrain.source or buildings.source)
+        vegetation = replace(vegetation, source=vegetation.source or buildings.source)
+
+    # A sample city (`SAMPLES`) gives what the arguments leave out.
+    sample = SAMPLES.get(sample_name(buildings.source) or "", {})
+    if bounds is None and sample:
+        bounds = sample["region"]["bounds"]
+    own_gps = gps or (Gps(**sample["gps"]) if sample else None)
+    people = population or Population()
+    if not people.has_blocks:
+        own_people = sample.get("population", {})
+        left_out = {name: file for name, file in own_people.items() if not getattr(people, name)}
+        people = replace(people, **left_out)
+
+    # The names of the files as the arguments have them are kept for provenance. The files are read by their paths.
+    files = {
+        "buildings": buildings.source,
+        "structures": structures_of(buildings.source, kinds),
+        "terrain": terrain.source,
+        "vegetation": vegetation.source,
+    }
+    files |= {role: getattr(people, role) for role in FILES}
+    buildings = _placed(buildings)
+    terrain, vegetation = _placed(terrain), _placed(vegetation)
+    people = _placed(people)
+    check_has_people(people, people.has_blocks)
+
+    # The region, and the wider box from which a shadow can reach it: satellites are in view down to the mask alone.
+    outlines = None
+    if bounds is None:
+        covered, outlines = _extent(buildings.source, buildings.crs, buildings)
+    region = check_bounds(covered if bounds is None else bounds)
+    if crs is None:
+        crs = utm_of(region)
+    projected_crs(crs)
+    box_m = box_of(region, crs)
+    sky = gps or Gps()
+    relief_m = 0.0 if terrain.source is None else RELIEF_M
+    rise_per_m = math.tan(math.radians(max(sky.lowest_mask_deg, 0.5)))
+    region_box = shapely.box(*box_m)
+    reach_m = (TALLEST_M + relief_m) / rise_per_m
+    wide_m = region_box.buffer(reach_m, join_style="mitre").bounds
+
+    # The ground, and what stands on it.
+    ground, ground_extent_m, guesses = _read_ground(terrain.source, buildings, crs, wide_m, box_m)
+    # Plants count nearby; where they hide satellites, those on hills do too.
+    rise_m = TALLEST_PLANT_M + relief_m * (sky.plants == "hide")
+    reach_m = max(PLANTS_REACH_M, rise_m / rise_per_m)
+    near_m = region_box.buffer(reach_m, join_style="mitre").bounds
+    plants = _read_plants(vegetation.source, buildings, ground, crs, near_m, box_m)
+    if plants is not None:
+        guesses += plants_guesses(repr(str(vegetation.source)), plants, crs, box_m)
+    source = read_buildings(
+        buildings,
+        crs,
+        bounds_m=wide_m,
+        terrain=ground,
+        beside=files["structures"],
+        whole=outlines,
+    )
+    del outlines  # as large as the city
+    _check_buildings(buildings, source, ground, box_m, region)
+    source = replace(source, kinds=kinds)
+
+    # Without bounds the region is all that the buildings cover, which may be too much.
+    issues = dict(source.read_issues)
+    if bounds is None and source.buildings is not None:
+        main = main_bounds(source.buildings.polygons, crs, region)
+        if main is not None:
+            warn(covers_too_much(buildings.source, region, main), GuessWarning)
+
+    # People, and what was guessed of heights, of people and of the ground.
+    guesses += source.guesses + height_guesses(
+        source.buildings, source.learned, crs, box_m, buildings
+    )
+    guesses += structure_guesses(source.others, box_m)
+    num_lost = issues.get(ReadIssue.POLYGONS_DROPPED)
+    if num_lost:
+        guesses += guessed(GuessKind.WITHOUT_SHAPE, number=num_lost)
+    blocks = None
+    if people.has_blocks:
+        blocks, block_issues = read_blocks(people, crs, wide_m, box_m)
+        issues |= block_issues
+        guesses += census_guesses(block_issues, blocks, people)
+    if ground is None:
+        guesses += guessed(GuessKind.FLAT_GROUND)
+    else:
+        stands = source.roofs if source.standing is None else source.standing
+        guesses += terrain_guesses(stands, ground, crs, box_m)
+    warn_of(guesses)
+
+    return replace(
+        source,
+        blocks=blocks,
+        terrain=ground,
+        terrain_extent_m=ground_extent_m,
+        read_issues=issues,
+        attribution=joined_credits(
+            source.attribution,
+            buildings.credit,
+            terrain.credit,
+            people.credit,
+            vegetation.credit,
+        ),
+        guesses=guesses,
+        sources={role: str(path) for role, path in files.items() if path is not None},
+        bounds=region,
+        gps=own_gps,
+        population=population and people,
+        heights=buildings,
+        vegetation=plants,
+    )
+
+
+def _read_ground(
+    path: Any, buildings: settings.Buildings, crs: str, wide_m: Bounds, box_m: Bounds
+) -> tuple[Raster | None, Bounds | None, Guesses]:
+    """Return the ground by a file, the box that the file covers, and what was guessed; None without a file.
+
+    Args:
+      path: of a raster or of lidar points, or None.
+      buildings: whose CRS may be that of the points.
+      crs: projected CRS of the city.
+      wide_m, box_m: from where shadows reach the region, and the region, in ``crs``.
+    """
+    if path is None:
+        return None, None, ()
+    if sniff(path) == LIDAR:
+        ground = _points_of(path, buildings).ground
+        extent_m = area_of_raster(ground, crs).bounds
+    else:
+        ground = read_raster(path, crs, wide_m)
+        extent_m = raster_extent_m(path, crs)
+    ground, guesses = filled_terrain(repr(str(path)), ground, crs, box_m)
+    return ground, extent_m, guesses
+
+
+def _read_plants(
+    path: Any,
+    buildings: settings.Buildings,
+    ground: Raster | None,
+    crs: str,
+    near_m: Bounds,
+    box_m: Bounds,
+) -> Raster | None:
+    """Return the heights of plants by a file, None without one; arguments as of `_read_ground`.
+
+    Raises:
+      InputError: lidar points without the ground; as of `read_plants`.
+    """
+    if path is None:
+        return None
+    if sniff(path) != LIDAR:
+        return read_plants(path, crs, near_m, box_m)
+    if ground is None:
+        raise InputError(
+            f"plants of the lidar points {str(path)!r} stand on the ground: give its elevation as "
+            "[terrain] source, which may be the same file"
+        )
+    plants = heights_above(_points_of(path, buildings).plants, ground)
+    return replace(plants, values=np.nan_to_num(plants.values))
+
+
+def _check_buildings(
+    file: settings.Buildings, source: City, ground: Raster | None, box_m: Bounds, region: Bounds
+) -> None:
+    """Raise InputError where heights look like elevations, or none is in the region, unless the settings allow it."""
+    name = repr(str(file.source))
+    if not file.allow_high:
+        stands = source.roofs if source.buildings is None else source.buildings
+        check_are_heights(name, stands, source.crs, source.extent_m, ground)
+    has_outline = source.buildings is not None and source.buildings.touches(box_m).any()
+    has_roof = source.roofs is not None and (source.roofs.values > 0).any()
+    if not (has_outline or has_roof or file.allow_none):
+        raise InputError(
+            f"{name} has no building in the region {list(region)}: "
+            f"{where_it_lies(lonlat_extent(file.source, file.crs), region)}; "
+            "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
+            "allow_none = true if there are none"
+        )
+
+
+def _points_of(path: str | Path, buildings: settings.Buildings) -> Points:
+    """Return the lidar points of a file; the CRS of the settings holds where it is that of the buildings."""
+    is_theirs = Path(path) == Path(buildings.source)
+    return read_points(Path(path), buildings.kind, buildings.crs if is_theirs else None)
+
+
+def _placed(section: Any) -> Any:
+    """Return a section of settings in which each file, one of a sample city too, stands with its path."""
+    paths = {
+        name: located(file)
+        for name, file in vars(section).items()
+        if name in ("source", *FILES) and file is not None
+    }
+    return replace(section, **paths)
+
+
+def read_buildings(
+    file: settings.Buildings,
+    crs: str,
+    *,
+    bounds_m: Bounds | None = None,
+    terrain: Raster | None = None,
+    beside: str | Path | None = None,
+    whole: Outlines | None = None,
+) -> City:
+    """Return the buildings in a file as a city without anything else, with the area where the file knows what stands.
+
+    Args:
+      file: names the file and says how it is read.
+      crs: projected CRS of the city.
+      bounds_m: x_min, y_min, x_max, y_max in ``crs``; buildings whose box does not touch it are left out. Which parts
+        replace which outlines does not depend on it. None keeps all buildings.
+      terrain: elevation of the ground, which a raster of surface elevations needs.
+      beside: the file of what else stands in a sample city.
+      whole: all outlines of the file, where they were read before.
+
+    Raises:
+      InputError: no such file, a format that is not read, a file that cannot be read or is in a wrong CRS, (raster)
+        cells that are not heights or look like elevations, or a surface without terrain or that is not a raster.
+    """
+    projected_crs(crs)
+    for kind in file.highest_m if isinstance(file.highest_m, Mapping) else ():
+        one_of("a kind of highest_m", kind, ALL_KINDS)
+    path = Path(file.source)
+    read = _reader_of(path, file.crs)
+
+    # Settings that are meant for files of another kind are refused.
+    is_misplaced = {
+        'hanging = "slabs" is for outlines': file.hanging == SLABS and read is None,
+        'kind = "surface" is for rasters': file.kind == "surface" and read is not None,
+        "crs is for outlines and lidar points": file.crs is not None
+        and (read is _read_osm or (read is None and sniff(path) != LIDAR)),
+        COLUMNS_SAID: len(named_columns(file)) > 0 and read in (None, _read_osm),
+    }
+    for what, is_wrong in is_misplaced.items():
+        if is_wrong:
+            raise InputError(f"[buildings] {what}, and {str(path)!r} is none: leave it out")
+
+    if read is None:
+        return _read_roofs(file, crs, bounds_m, terrain)
+    if beside is not None:
+        read = partial(read_vector, beside=located(beside))
+    # A small file is read whole, and a large one says nothing of unknown heights: they are the same for each region.
+    is_small = path.suffix != ARCHIVE and path.is_file() and path.stat().st_size <= SMALL_BYTES
+    if bounds_m is not None:
+        near = None if is_small else Near(bounds_m, crs)
+        outlines = whole or read(path, near, file)
+        city = _city_of(file, outlines, crs, bounds_m, is_small)
+        if not outlines.is_part or len(city.buildings or ()):
+            return city
+    # A file without a building near the region is read whole, so that all it covers is known.
+    return _city_of(file, read(path, None, file), crs, bounds_m, is_small)
+
+
+def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
+    """Return the function that reads a file of outlines; None for a raster.
+
+    Args:
+      path: of the file, or a folder of tiles.
+      crs: in place of the one that outlines declare; OpenStreetMap has one.
+
+    Raises:
+      InputError: no such file, or a format that is not read.
+    """
+    if not path.exists():
+        raise InputError(f"{str(path)!r} does not exist: check the path")
+    suffix = path.suffix.lower()
+    if suffix in RASTER_SUFFIXES or sniff(path) == LIDAR:
+        return None
+    if crs is not None:
+        known_crs(crs)
+    kind = sniff(path) or (ARCHIVE if path.is_dir() else "")
+    read = OUTLINE_READERS.get(kind) or OUTLINE_READERS.get(suffix)
+    if read is None:
+        known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))
+        raise InputError(
+            f"{str(path)!r} has the suffix {suffix!r} and no content that is known: buildings are read from {known}, "
+            "and from outlines packed as .gz or .bz2"
+        )
+    return read if crs is None or read is _read_osm else partial(read, crs=crs)
+
+
+def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
+    """Return west, south, east, north in degrees of the box that a file of buildings or a raster covers.
+
+    For a file of OpenStreetMap it is the box that the file declares. For one that declares none and for other files of
+    outlines it is the box around all outlines, for which the whole file is read.
+
+    Args:
+      path: of the file.
+      crs: in place of the one that it declares, as of `settings.Buildings`.
+
+    Raises:
+      InputError: a file that cannot be read, or one without an outline.
+    """
+    extent, _ = _extent(path, crs, None)
+    return extent
+
+
+def _extent(
+    path: str | Path, crs: str | None, rules: settings.Buildings | None
+) -> tuple[Bounds, Outlines | None]:
+    """Return the box of `lonlat_extent`, and all outlines of the file where these were read for it, by settings."""
+    file = Path(path)
+    read = _reader_of(file, crs)
+    if sniff(path) == LIDAR:
+        return area_of_raster(read_points(file, "height", crs).highest, WGS84).bounds, None
+    if read is None:
+        return raster_extent_m(path, WGS84), None
+    box = header_box(path) if read is _read_osm else None
+    if box is not None:
+        return box, None
+    whole = read(file, None, rules)
+    outlines = whole.take(~is_water(whole))  # shores lead far away
+    if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
+        raise InputError(
+            f"{str(path)!r} holds no outline that would say where it lies: give bounds"
+        )
+    box = shapely.total_bounds(outlines.polygons)
+    extent = transformer(outlines.crs, WGS84).transform_bounds(*box)
+    if not 0 <= extent[2] - extent[0] <= 180:
+        raise InputError(
+            f"{str(path)!r} covers half the Earth, or lies on both sides of the antimeridian, across which no region "
+            "reaches: give bounds, there on one side, to 180 or from -180; what stands on the other counts too"
+        )
+    return extent, whole
+
+
+def proposed_bounds(
+    file: settings.Buildings, extent: Sequence[float], crs: str | None
+) -> Bounds | None:
+    """Return the box in which most buildings of a file stand (see `main_bounds`); None for a raster.
+
+    Args:
+      file: names the file and says how it is read.
+      extent: the box that the file covers (`lonlat_extent`).
+      crs: projected CRS of the city; None for the UTM zone of the middle of ``extent``.
+
+    Raises:
+      InputError: as of `read_buildings`.
+    """
+    file = _placed(file)
+    if _reader_of(Path(file.source)) is None:
+        return None
+    crs = crs or utm_of(extent)
+    buildings = read_buildings(file, crs).buildings
+    return None if buildings is None else main_bounds(buildings.polygons, crs, extent)
+
+
+def size_m(extent: Sequence[float]) -> tuple[float, float]:
+    """Return the sides in metres of a box in degrees: from west to east in its middle, and from south to north."""
+    west, south, east, north = extent
+    middle = (south + north) / 2
+    east_west_m = GEOD.line_length([west, east], [middle, middle])
+    return east_west_m, GEOD.line_length([west, west], [south, north])
+
+
+def covers_too_much(path: str | Path, extent: Sequence[float], main: Sequence[float]) -> str:
+    """Return the warning that a file covers much more than the box of most of its buildings, while no bounds are given.
+
+    Args:
+      path: path of the file.
+      extent: west, south, east, north in degrees of the box that the file covers.
+      main: the same of the box in which most of its buildings stand.
+    """
+    east_west_m, north_south_m = size_m(extent)
+    return (
+        f"bounds are left out and {str(path)!r} covers {east_west_m / 1000:.3g} x {north_south_m / 1000:.3g} km, but "
+        f"{100 * MAIN_SHARE:.0f} % of its buildings stand in a small part of that: bounds = {list(main)}"
+    )
+
+
+def _city_of(
+    file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None, learns: bool
+) -> City:
+    """Return the city of the buildings that outlines make, and of the area where the file knows what stands.
+
+    Args:
+      file: names the file and says how it is read.
+      outlines: what a reader has read from the file.
+      crs: projected CRS of the city.
+      bounds_m: x_min, y_min, x_max, y_max in ``crs`` of a box; buildings whose own box touches it are kept, and the
+        part of the area near it. None keeps everything. If neither a building nor a declared box is there, the area is
+        that of the whole file, or empty if only a part of the file was read.
+      learns: as of `to_buildings`.
+    """
+    buildings, structures, boxes_m, issues, learned = to_buildings(file, outlines, crs, learns)
+    everything = buildings
+    area = shapely.Polygon()
+    if bounds_m is not None:
+        buildings, structures = (
+            each.take(meets(each.boxes_m.T, bounds_m)) for each in (buildings, structures)
+        )
+        near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
+        area = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
+    if area.is_empty and not outlines.is_part:
+        area = area_of_outlines(everything.polygons, boxes_m)
+    return City(
+        crs,
+        area.bounds,
+        buildings,
+        area=area,
+        read_issues=issues,
+        attribution=outlines.attribution,
+        hanging=file.hanging,
+        structures=structures,
+        learned=learned,
+    )
+
+
+def _read_roofs(
+    file: settings.Buildings, crs: str, bounds_m: Bounds | None, terrain: Raster | None
+) -> City:
+    """Return the city of a raster of heights, or of lidar points.
+
+    Cells below 0, the noise of surface minus terrain, count as ground; a read issue says how many they are.
+
+    Args:
+      file: names it; its ``kind`` is ``"surface"`` for elevations of roofs and ground, ``"height"`` for heights.
+      crs: projected CRS of the city.
+      bounds_m: as of `read_buildings`.
+      terrain: as of `read_buildings`.
+
+    Raises:
+      InputError: as of `read_buildings`.
+    """
+    path = Path(file.source)
+    name = repr(str(path))
+    guesses: Guesses = ()
+    if sniff(path) == LIDAR:
+        roofs, issues = heights_of_points(name, _points_of(path, file), terrain, crs)
+    elif file.kind == "surface":
+        surface = read_raster(path, crs, bounds_m)
+        roofs, issues = heights_of_surface(name, surface, terrain, crs)
+    else:
+        raster, guesses = zero_is_ground(path, read_raster(path, crs, bounds_m))
+        check_range(name, raster.values, ROOF_RANGE_M)
+        check_is_no_surface(name, raster, crs)
+        is_below = raster.values < 0
+        roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
+        issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
+    check_range(name, roofs.values, ROOF_RANGE_M)
+    area = area_of_raster(roofs, crs)
+    guesses += pixel_guesses(roofs, crs)
+    return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues, guesses=guesses)
+
+
+def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.Geometry:
+    """Return the area that a file of outlines knows: the boxes that it declares, and a box around each settlement.
+
+    A building far off has a box of its own, and does not make the land between known.
+
+    Args:
+      polygons: ``[N]`` the outlines, in a CRS in metres.
+      boxes: x_min, y_min, x_max, y_max of each box that the file declares to cover.
+    """
+    # The declared boxes, with the boxes of outlines on their borders.
+    declared = shapely.union_all([shapely.box(*box) for box in boxes])
+    is_inside = shapely.covers(declared, polygons)
+    is_apart = ~shapely.intersects(declared, polygons)
+    on_border = shapely.box(*shapely.bounds(polygons[~is_inside & ~is_apart]).T)
+    declared = shapely.union_all([declared, *on_border])
+    bounds = shapely.bounds(polygons[is_apart])
+    if not len(bounds):
+        return declared
+
+    # Settlements: the square bins that hold the centre of any other outline and touch each other, grown by a metre so
+    # that those that touch at a corner are joined too.
+    centre = (bounds[:, :2] + bounds[:, 2:]) / 2
+    bins = pd.DataFrame(np.floor(centre / GAP_M))
+    bin_of = bins.groupby([0, 1], sort=False).ngroup().to_numpy()
+    corner = bins.drop_duplicates().to_numpy() * GAP_M
+    grown = shapely.box(*(corner - 1.0).T, *(corner + GAP_M + 1.0).T)
+    settlements = shapely.get_parts(shapely.union_all(grown))
+
+    # The box around all outlines of each settlement.
+    places = shapely.STRtree(shapely.points(corner))
+    settlement, place = places.query(settlements, predicate="contains")
+    by_settlement = pd.DataFrame(bounds).groupby(settlement[np.argsort(place)][bin_of])
+    hulls = by_settlement.agg({0: "min", 1: "min", 2: "max", 3: "max"})
+    return shapely.union_all([declared, *shapely.box(*hulls.to_numpy().T)])
+
+
+def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:
+    """Return the area in ``crs`` where a raster holds data.
+
+    A raster with holes is cut into blocks, `BLOCKS_A_SIDE` a side, and the area is that of the blocks with any data.
+    """
+    num_rows, num_cols = raster.values.shape
+    is_known = np.isfinite(raster.values)
+    known = shapely.box(0, 0, num_cols, num_rows)  # columns and rows
+    if not is_known.all():
+        # The borders of blocks, and which blocks have any data.
+        row, col = (
+            np.unique(np.linspace(0, num, BLOCKS_A_SIDE + 1).astype(int))
+            for num in (num_rows, num_cols)
+        )
+        has_any = np.logical_or.reduceat(is_known, row[:-1], axis=0)
+        has_any = np.logical_or.reduceat(has_any, col[:-1], axis=1)
+        i, j = np.nonzero(has_any)
+        known = shapely.union_all(shapely.box(col[j], row[i], col[j + 1], row[i + 1]))
+
+    # Straight sides of pixels bend in another CRS, so they are cut into short pieces before.
+    area = shapely.segmentize(known, max(num_rows, num_cols) / BLOCKS_A_SIDE)
+    return shapely.transform(area, lambda x, y: pixel_xy(raster, y, x, crs), interleaved=False)

@@ -1,0 +1,290 @@
+"""Columns of outlines: which of them holds the heights, the ground and the levels, and in which unit."""
+
+import json
+import re
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyproj
+
+from jaxurban import settings
+from jaxurban.cities.heights import FOOT_M, is_given, parse_length_m, read_column
+from jaxurban.cities.kinds import IN_WORDS, KINDS, NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING
+from jaxurban.errors import InputError
+from jaxurban.io.issues import ReadIssue
+from jaxurban.settings import MAX_HEIGHT_M, Unit
+
+Columns = Mapping[str, np.ndarray]
+CUT_LETTERS = 10  # of a column's name in a Shapefile
+
+# Tags and columns by what they hold: in any case, with ":", "." and "_" the same; names of ten letters are cut, as
+# Shapefiles cut them. Where several are there, the first that is filled counts, row by row. Column names in feet or of
+# roof shapes ("roof:height" is the height of the roof alone) are left out on purpose. Levels also as France (BD TOPO),
+# INSPIRE (bu-base), Germany (ALKIS, simplified), Korea (road name addresses) and Chicago publish them.
+COLUMNS = {
+    "part": "building_part building_p building_id building_i",
+    "height": "height height_m building_height building_h measuredheight measured_height "
+    "measuredhe measured_h est_height",
+    "levels": "building_levels building_l levels num_floors storeysaboveground nb_etages nombre_d_etages "
+    "numberoffloorsaboveground numberoffl anzahlgs gro_flo_co stories "
+    "floors numfloors storeys storeysabo nombre_d_e",
+    "roof_levels": "roof_levels roof_level",
+    "min_height": "min_height building_min_height",
+    "min_level": "building_min_level min_level min_floor",
+    "levels_below": "building_levels_underground levels_underground num_floors_underground",
+    "location": "is_underground location",
+    "diameter": "diameter width",
+    "rotor": "rotor_diameter rotor_diam",
+    "hub": "height_hub",
+    "wind": "generator_source generator_method generator_type power_source generator_",
+    "crown": "diameter_crown diameter_c crown_diameter",
+    "construction": "tower_construction tower_cons",
+}
+# Columns that are named as what they hold.
+OF_OTHERS = (
+    "layer",
+    "level",
+    "parking",
+    "natural",
+    "landuse",
+    "waterway",
+    "highway",
+    "railway",
+    "lanes",
+    "indoor",
+    "bridge_structure",
+    "bridge_movable",
+    *IN_WORDS,
+)
+for key in ("building", *OF_OTHERS, *KINDS):  # also of what is not in use, or not yet
+    name = key.replace(":", "_")
+    lives = STANDING if key in OF_LIFE else NOT_IN_USE if key in KINDS else ()
+    names = name, name[:CUT_LETTERS], *(f"{life}_{name}" for life in lives)
+    COLUMNS[key] = " ".join(dict.fromkeys(names))
+for key in OF_LIFE:
+    for life, reason in NOT_BUILT.items():
+        COLUMNS[reason] = f"{COLUMNS.get(reason, '')} {life}_{key}"
+UNDERGROUND_COLUMN = "is_underground"  # of Overture Maps: true or false
+BELOW = dict.fromkeys(("true", "1"), ReadIssue.UNDERGROUND.value)  # as OpenStreetMap writes it
+NESTED = ("tags", "other_tags", "all_tags")  # of query-overpass and GDAL: all tags in one text
+UNITS_M: dict[Unit, float] = {"m": 1.0, "ft": FOOT_M, "cm": 0.01, "mm": 0.001}
+HSTORE = re.compile(r'("(?:[^"\\]|\\.)*")\s*=>\s*("(?:[^"\\]|\\.)*")')  # of what is not NULL
+
+
+# How publishers name what they hold, plain as in `COLUMNS`: the column of roofs and others by which the table is known,
+# and the unit of its heights, which are above the ground but for those of `GROUNDS`.
+SCHEMAS: dict[str, Unit] = {
+    # New York: github.com/CityOfNewYork/nyc-geo-metadata, Metadata_BuildingFootprints.md.
+    "height_roof": "ft",
+    "height_roo": "ft",
+    "heightroof": "ft",
+    # Los Angeles County, LARIAC: its data dictionary as in github.com/osmlab/labuildings, convert.py.
+    "height bld_id elev": "ft",
+    # Philadelphia, above the lowest ground: pasda.psu.edu, PhiladelphiaBuildings2017.xml, and metadata.phila.gov.
+    "max_hgt approx_hgt": "ft",
+    "approx_hgt": "ft",
+    "max_hgt base_hgt avg_hgt": "ft",
+    # San Francisco: data.sfgov.org/d/ynuv-fyni.
+    "hgt_maxcm": "cm",
+    # Vancouver: opendata.vancouver.ca/explore/dataset/building-footprints-2009.
+    "hgt_agl": "m",
+    # Toronto, 3D Massing: open.toronto.ca/dataset/3d-massing.
+    "max_height avg_height height_msl surf_elev": "m",
+    # Melbourne: data.melbourne.vic.gov.au/explore/dataset/2020-building-footprints.
+    "structure_extrusion": "m",
+    # BD TOPO, up to the gutter: geoservices.ign.fr/documentation/donnees/vecteur/bdtopo.
+    "hauteur": "m",
+    # 3DBAG, above NAP: docs.3dbag.nl/en/schema/attributes.
+    "b3_h_dak_max b3_h_maaiveld": "m",
+    # Hong Kong, Lands Department, above Principal Datum: portal.csdi.gov.hk, "Building".
+    "topheight baseheight": "m",
+    # Ordnance Survey: docs.os.uk, Building Height Attribute, and NGD Buildings.
+    "relhmax": "m",
+    "height_relativemax_m": "m",
+    # swissBUILDINGS3D: swisstopo.admin.ch, its object catalogue.
+    "gesamthoehe dach_max": "m",
+}
+# By their own names.
+SCHEMAS |= {f"height{mark}{unit}": unit for mark in ("", "_") for unit in UNITS_M}
+GROUNDS = {"b3_h_dak_max": "b3_h_maaiveld", "topheight": "baseheight"}
+# Overture Maps, Microsoft, GlobalBuildingAtlas and USA Structures call theirs ``height``, in metres; Google's outlines
+# have none.
+KNOWN = set(" ".join([*NESTED, *COLUMNS.values(), *SCHEMAS]).split())
+# Words for height in names of columns, and those by which it is not that of the roof.
+HEIGHT = re.compile(
+    "^h$|^ht$|_ht$|^roof_?z$|^z_?max$|h_dak|heigh|hgt|hght|hoeh|höhe|hauteur|altura|altezza|hoogte|"
+    "höjd|hojd|høyde|hoyde|korkeus|korgus|kõrgus|wysoko|vysk|"
+    "výšk|高"
+)
+NO_ROOF = re.compile(
+    "^(roof_height|maxheight|has|is)|min|base|ground|below|eave|std|acc|err|conf|source|src|date|class|type|unit|id$"
+)
+
+
+def _plain(column: object) -> str:
+    """Return a column's name as `COLUMNS` has it."""
+    return str(column).lower().replace(":", "_").replace(".", "_")
+
+
+def named_columns(file: settings.Buildings) -> list[str]:
+    """Return the columns that the settings name."""
+    return list(filter(None, (file.height_column, file.ground_column, file.levels_column)))
+
+
+def is_of_buildings(column: object, named: Collection[str] = ()) -> bool:
+    """Return whether a column or a tag says something of buildings by its name, or is one of those named."""
+    name = _plain(column)
+    return name in KNOWN or column in named or HEIGHT.search(name) is not None
+
+
+def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return columns, or OpenStreetMap's tags, of outlines under the names that `Outlines` knows.
+
+    Of several columns that hold one tag the first that is filled counts, row by row.
+
+    Args:
+      columns: ``[N]`` values by name; columns of other names are left out.
+    """
+    values = {_plain(name): column for name, column in columns.items()}
+    if UNDERGROUND_COLUMN in values:
+        is_below = pd.Series(values[UNDERGROUND_COLUMN]).astype(str).str.lower()
+        values[UNDERGROUND_COLUMN] = is_below.map(BELOW).to_numpy(object)
+        values.pop("level", None)  # Overture's orders, as a layer does
+
+    if "est_height" in values:  # a rough figure
+        estimate = values["est_height"]
+        rough = np.array([f"~{value}" for value in estimate], object)
+        rough[~is_given(estimate)] = None
+        values["est_height"] = rough
+
+    tags: dict[str, np.ndarray] = {}
+    for tag, names in COLUMNS.items():
+        for name in names.split():
+            if name in values:
+                own = values[name]
+                tags[tag] = _filled(tags[tag], own) if tag in tags else own
+    if "max_height" in values:
+        tags.pop("min_height", None)  # it is that of the lowest roof
+    return tags
+
+
+def tags_of_table(
+    columns: Columns, file: settings.Buildings, crs: pyproj.CRS
+) -> dict[str, np.ndarray]:
+    """Return the columns of a table of outlines under the names that `Outlines` knows, lengths in metres.
+
+    Which columns these are say the settings, else one of `SCHEMAS`, else `COLUMNS`. Columns of tags (`NESTED`) are
+    opened.
+
+    Args:
+      columns: ``[N]`` values by name.
+      file: its path, and what the settings say of its columns.
+      crs: of the outlines: numbers beside coordinates in feet are not taken for metres.
+
+    Raises:
+      InputError: a column that is named is missing, the unit of heights is not known, or columns that no schema knows
+        hold heights where the table has none.
+    """
+    missing = set(named_columns(file)).difference(columns)
+    if missing:
+        raise InputError(
+            f"{str(file.source)!r} has no column {', '.join(missing)}: its columns are {', '.join(columns) or 'none'}"
+        )
+    values = _opened({_plain(name): column for name, column in columns.items()})
+    tags = tags_of(values)
+    if file.levels_column is not None:
+        tags["levels"] = columns[file.levels_column]
+
+    # Lengths: as the settings say, as a publisher does, or in metres.
+    roof = _plain(file.height_column or "")
+    ground = _plain(file.ground_column or "")
+    unit = file.unit
+    schema = next((names for names in SCHEMAS if set(names.split()) <= values.keys()), None)
+    if not roof and schema is not None:
+        roof = schema.split()[0]
+        ground = GROUNDS.get(roof, "")
+        unit = SCHEMAS[schema]
+    if not roof:
+        _check_metric(columns, tags, file, crs)
+    unit_m = UNITS_M[unit or "m"]
+    if ground:
+        tops, bottoms = (pd.to_numeric(values[name], errors="coerce") for name in (roof, ground))
+        tags["height"] = np.asarray(tops - bottoms) * unit_m
+    elif roof:
+        height = _in_metres(values[roof], unit_m)
+        tags["height"] = height if file.height_column else _filled(height, tags.get("height"))
+    if "min_height" in tags:
+        tags["min_height"] = _in_metres(tags["min_height"], unit_m)
+    return tags
+
+
+def _filled(column: np.ndarray, other: np.ndarray | None) -> np.ndarray:
+    """Return a column ``[N]`` that has the values of another, if there is one, where it holds nothing."""
+    return column if other is None else np.where(is_given(column), column, other)
+
+
+def _opened(values: Columns) -> Columns:
+    """Return columns by plain name, with the tags of `NESTED` where no column of their own says them."""
+    for name in set(NESTED).intersection(values):
+        inner = pd.DataFrame([_inner_tags(str(text)) for text in values[name]], dtype=object)
+        values = dict(values)
+        for tag in map(str, inner):
+            own = inner[tag].to_numpy()
+            values[tag] = _filled(values.get(tag, own), own)
+    return values
+
+
+def _inner_tags(text: str) -> dict[str, Any]:
+    """Return what a text of tags, JSON or hstore, says of buildings, by plain name; nothing of another text."""
+    try:
+        if not text.startswith(("{", "[")):
+            text = "{" + ",".join(map(":".join, HSTORE.findall(text))) + "}"
+        tags = dict(json.loads(text, strict=False))
+    except (ValueError, TypeError, RecursionError):
+        return {}
+    return {_plain(tag): value for tag, value in tags.items() if is_of_buildings(tag)}
+
+
+def _in_metres(column: np.ndarray, unit_m: float) -> np.ndarray:
+    """Return a column of lengths in metres, ``[N]``; what cannot be read stays as it is.
+
+    Args:
+      column: ``[N]`` numbers, or objects.
+      unit_m: length of the unit of numbers that name none.
+    """
+    if unit_m == 1.0:
+        return column
+    metres = np.array([parse_length_m(str(value), unit_m) for value in column])
+    return np.where(np.isnan(metres), column, metres)
+
+
+def _check_metric(
+    columns: Columns, tags: Columns, file: settings.Buildings, crs: pyproj.CRS
+) -> None:
+    """Check that heights may be taken for metres, and that no column of another name holds heights that are lacking.
+
+    Raises:
+      InputError: heights beside coordinates in feet; or other columns, most of whose values may be heights, where one
+        is lacking.
+    """
+    is_in_feet = crs.is_projected and crs.axis_info[0].unit_conversion_factor != 1
+    is_lacking = ~(read_column(tags.get("height", np.zeros(1)), parse_length_m) > 0)
+    unclear = []
+    for name, column in columns.items():
+        plain = _plain(name)
+        if not HEIGHT.search(plain) or NO_ROOF.search(plain):
+            continue
+        height = read_column(column, parse_length_m)
+        is_height = (height >= 1) & (height <= MAX_HEIGHT_M) & is_lacking
+        holds_numbers = 2 * np.isfinite(height).sum() > is_given(column).sum()
+        if holds_numbers and ((height > 0) & is_in_feet | is_height).any():
+            unclear.append(name)
+    if unclear:
+        first = json.dumps(unclear[0], ensure_ascii=False)
+        raise InputError(
+            f"{str(file.source)!r} holds heights in {', '.join(map(repr, unclear))}, and neither the file nor a known "
+            f"publisher says their unit: set [buildings] height_column = {first} and unit = "
+            '"ft" or "m" (or "cm", "mm"), and ground_column if they count from the sea'
+        )

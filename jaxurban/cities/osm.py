@@ -1,0 +1,371 @@
+"""OpenStreetMap files: what may stand of them, assembled by pyosmium."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from functools import lru_cache
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import osmium
+import pandas as pd
+import shapely
+from osmium.filter import EntityFilter, KeyFilter
+from osmium.geom import use_nodes
+
+from jaxurban.cities.columns import tags_of
+from jaxurban.cities.kinds import (
+    BY_VALUE,
+    KINDS,
+    NOT_BUILT,
+    NOT_IN_USE,
+    OF_LIFE,
+    STANDING,
+    WATERS,
+    Nothing,
+)
+from jaxurban.cities.osm_plain import plain_osm
+from jaxurban.cities.outlines import Outlines
+from jaxurban.errors import readable
+from jaxurban.io.issues import ReadIssue, ReadIssues
+from jaxurban.io.sniff import in_own_words, sniff, unpacked
+from jaxurban.world.footprints import BUILDING
+from jaxurban.world.grid import WGS84, Bounds
+
+BUILDINGS = ("building", "building:part")  # keys
+MAYBE = (  # keys of what may stand
+    *(*BUILDINGS, "height", "est_height", *KINDS),
+    *(f"{life}:{key}" for life in STANDING for key in OF_LIFE),
+    *(f"{life}:{key}" for life in NOT_IN_USE for key in KINDS if key not in OF_LIFE),
+    *(f"{life}:building" for life in NOT_BUILT),
+)
+SURE = {*MAYBE} - {"barrier"}  # whatever their value is
+LOW_BARRIERS = {value for value, kind in KINDS["barrier"].items() if isinstance(kind, Nothing)}
+SOME = {  # values of keys of which others do not stand; what is water says which bridges cross it
+    key: {*BY_VALUE.get(key, ()), *WATERS.get(key, ())} for key in (*BY_VALUE, *WATERS)
+}
+OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
+    *(*BUILDINGS, "height", "building:levels", "levels", "roof:levels", "min_height"),
+    *("building:min_level", "building:levels:underground", "location", "layer", "level"),
+    *("parking", "man_made", "building:height", "est_height", "tower:type", "bridge:support"),
+    *("aerialway", "attraction", "roller_coaster"),
+)
+OF_LAMPS = ("highway", "height", "location", "level", "indoor")
+OF_TREES = ("natural", "height", "est_height", "diameter_crown", "location", "level")
+TAGS = {
+    *(*OF_BUILDINGS, *OF_TREES, *MAYBE, *SOME, "railway", "lanes", "indoor", "diameter", "width"),
+    *("bridge:structure", "bridge:movable", "tower:construction"),
+    *("rotor:diameter", "height:hub", "power_source"),
+    *(f"generator:{name}" for name in ("source", "method", "type")),
+    *(f"{life}:{key}" for life in NOT_BUILT for key in OF_LIFE),
+}
+TO_WKB = osmium.geom.WKBFactory()
+Key = tuple[str, int]  # "n", "w" or "r", and an id
+OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
+OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
+# And what `_may_stand` leaves out. Lamps are apart, as streets have their key.
+KEYS = {*MAYBE, *SOME, "layer"} - {"highway"}
+MAY_STAND = KeyFilter(*KEYS)
+MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type")  # of relations
+LAMPS = KeyFilter("highway")  # of nodes
+NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
+
+
+def read_osm(path: str | Path) -> Outlines:
+    """Return what may stand of an OSM file: areas, lines and points with their tags.
+
+    Coordinates are longitude and latitude; the box is the file header's (of several the first). Areas that
+    libosmium cannot assemble (rings that cross themselves) are rebuilt from their lines, each loop filled; where
+    these do not close, the lines are given as far as the file has them. Outlines of relations of the type building
+    have the relations' tags beside their own. What pyosmium cannot read itself is read as `plain_osm` writes it.
+
+    Args:
+      path: the file: PBF, XML or JSON of the Overpass API, packed or not, of an editor too.
+
+    Raises:
+      InputError: the file cannot be read to its end.
+    """
+    remedy = "fetch it again, or put it in order with `osmium sort`"
+    with plain_osm(path, remedy) as plain:
+        objects = _Objects(plain)
+        box = header_box(plain)
+    return Outlines(
+        polygons=shapely.from_wkb([*map(bytes.fromhex, objects.shapes.values())]),
+        tags=tags_of(objects.columns),
+        crs=WGS84,
+        boxes=() if box is None else (box,),
+        attribution=OSM_CREDIT,
+        issues=objects.issues,
+    )
+
+
+class _Objects:
+    """What may stand of an OSM file, by kind and id, as far as it was read; errors as pyosmium raises them.
+
+    Attributes:
+      tags: those that say what stands.
+      shapes: WKB in hexadecimal.
+      areas: what libosmium takes for areas, whether it could assemble them or not, and sites.
+      closed, open_ways, missing, degenerate: ways, the first two no areas that may stand; the third lack nodes, and
+        the last enclose nothing.
+      lines: of ways, by id.
+      ways_of: the ids of the ways of what has no shape.
+      of_members: what relations of the type building say of their outlines.
+      num_repaired: areas that were rebuilt from their lines.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Read a file that pyosmium can read."""
+        self.tags: dict[Key, dict[str, str]] = {}
+        self.shapes: dict[Key, str] = {}
+        self.areas, self.closed, self.open_ways, self.missing = (set[Key]() for _ in range(4))
+        self.lines: dict[int, shapely.Geometry] = {}
+        self.ways_of: dict[Key, list[int]] = {}
+        self.of_members: dict[Key, dict[str, str]] = {}
+        self.num_repaired = 0
+        self._read_objects(path)
+        self._read_lines(path)
+        self._build_shapes()
+
+    def _read_objects(self, path: str | Path) -> None:
+        """Read what may stand, and relations of buildings."""
+        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(NO_WAYS)
+        processor = processor.with_filter(MAY_STAND_OR_TYPE)
+        self.places: Any = processor.node_location_storage
+        item: Any
+        for item in processor:
+            kind = item.type_str()
+            if kind == "a":
+                key = "w" if item.from_way() else "r", item.orig_id()
+                self.areas.add(key)
+            else:
+                key = kind, item.id
+            tags = _tags_of(item.tags)
+            if kind == "r":
+                if not self._keep_relation(item, tags):
+                    continue
+            elif not _may_stand(tags):
+                continue
+            elif kind == "n":
+                self.shapes[key] = TO_WKB.create_point(item)
+            elif item.num_rings()[0] > 0:
+                self.shapes[key] = TO_WKB.create_multipolygon(item)
+            self.tags[key] = tags
+
+    def node(self, lamp: Any) -> None:
+        """Keep what may be a lamp, for which pyosmium calls this."""
+        if not _is_some("highway", lamp.tags["highway"]):
+            return
+        self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
+        self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
+
+    def way(self, way: Any) -> None:
+        """Keep the line of a way that is asked for, for which pyosmium calls this too."""
+        if way.id in self.ids:
+            self._keep_line(way)
+
+    def _keep_relation(self, item: Any, tags: dict[str, str]) -> bool:
+        """Keep the members of a relation that may need them; return whether it may stand itself, by its tags."""
+        of_type = item.tags.get("type")
+        if of_type == BUILDING:
+            of_it = [*_all_of(item.members)]
+            outer = [each for each in of_it if each.role in ("outline", "outer")]
+            members = [(each.type, each.ref) for each in outer or of_it]
+            self.of_members |= dict.fromkeys(members, tags)
+            return False
+        may_stand = _may_stand(tags)
+        # A bare one may be the outline in a relation of a building.
+        if may_stand or len(item.tags) == 1:
+            all_of_it = _all_of(item.members)
+            self.ways_of["r", item.id] = [each.ref for each in all_of_it if each.type == "w"]
+        if of_type in ("site", "bridge"):
+            self.areas.add(("r", item.id))
+        return may_stand
+
+    def _keep_line(self, way: Any) -> None:
+        """Keep the line of a way, and whether it lacks nodes."""
+        try:
+            line = shapely.from_wkb(bytes.fromhex(TO_WKB.create_linestring(way, use_nodes.ALL)))
+        except (RuntimeError, osmium.InvalidLocationError):  # without the places of its nodes
+            points = []
+            for node in way.nodes:
+                with suppress(KeyError):
+                    place = self.places.get(node.ref)
+                    points.append((place.lon, place.lat))
+            line = shapely.Point(points) if len(points) == 1 else shapely.LineString(points)
+            if len(points) < len(way.nodes):
+                self.missing.add(("w", way.id))
+        self.lines[way.id] = _each_side_once(line)
+
+    def _read_lines(self, path: str | Path) -> None:
+        """Read ways that may stand and are no areas, and the lines of what else has no shape."""
+        no_shape = (self.tags.keys() | self.of_members.keys()) - self.shapes.keys()
+        self.ways_of |= {key: [key[1]] for key in no_shape if key[0] == "w"}
+        # An `IdFilter` would take 4 MiB for each range of ids.
+        self.ids = {way for key in no_shape for way in self.ways_of.get(key, ())}
+        places = osmium.NodeLocationsForWays(self.places)
+        places.ignore_errors()
+        ways = osmium.FileProcessor(_file(path), osmium.osm.WAY).with_filter(MAY_STAND)
+        item: Any
+        for item in ways.with_filter(places).handler_for_filtered(self):
+            self.way(item)
+            key = "w", item.id
+            if key in self.areas:
+                continue
+            tags = _tags_of(item.tags)
+            if _may_stand(tags):
+                self.tags[key] = tags
+                self.ways_of[key] = [item.id]
+                self._keep_line(item)
+                (self.closed if item.is_closed() else self.open_ways).add(key)
+        self.degenerate = {
+            key
+            for key in self.closed - self.missing - self.of_members.keys()
+            if not self.tags[key].keys().isdisjoint(BUILDINGS)
+            and shapely.build_area(self.lines[key[1]]).is_empty
+        }
+
+    def _build_shapes(self) -> None:
+        """Build what is no area from its lines; what does not close is these lines."""
+        # Outlines have what their relation says beside their own tags.
+        for key, of_relation in self.of_members.items():
+            own = self.tags.get(key, {})
+            if "building:part" not in own:
+                self.tags[key] = {"building": "yes"} | of_relation | own
+
+        no_shape = self.ways_of.keys() & self.tags.keys() - self.shapes.keys() - self.degenerate
+        for key in sorted(no_shape):
+            known = [self.lines[way] for way in self.ways_of[key] if way in self.lines]
+            shape = known[0] if len(known) == 1 else shapely.union_all(known)
+            if key in self.areas or key in self.of_members:
+                built = shapely.build_area(shapely.union_all(known))
+                self.num_repaired += not built.is_empty
+                shape = shape if built.is_empty else built
+            if not shape.is_empty or key in self.areas:
+                self.shapes[key] = shape.wkb_hex
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """``[N]`` the tags of what has a shape, by name, None where one is missing."""
+        rows = [{"building": None, **self.tags[key]} for key in self.shapes]
+        table = pd.DataFrame(rows, dtype=object)
+        table = table.where(table.notna(), None)
+        return {name: table[name].to_numpy() for name in map(str, table)}
+
+    @property
+    def issues(self) -> ReadIssues:
+        """Buildings that made no area, by what is wrong with them, and how many areas were rebuilt."""
+        no_area = self.tags.keys() - self.areas
+        buildings = {key for key in no_area if not self.tags[key].keys().isdisjoint(BUILDINGS)}
+        return {
+            ReadIssue.OPEN_WAYS: len(self.open_ways & buildings),
+            ReadIssue.WAYS_WITH_MISSING_NODES: len(self.missing & buildings),
+            ReadIssue.DEGENERATE_WAYS: len(self.degenerate & buildings),
+            ReadIssue.RELATIONS_INCOMPLETE: sum(kind == "r" for kind, _ in buildings),
+            ReadIssue.POLYGONS_REPAIRED: self.num_repaired,
+        }
+
+
+def _tags_of(tags: Any) -> dict[str, str]:
+    """Return those tags of an object that say what stands."""
+    if "building" in tags:  # with many others
+        return _named(tags, OF_BUILDINGS)
+    if tags.get("natural") == "tree":  # there are many
+        return _named(tags, OF_TREES)
+    return {name: value for name, value in _all_of(tags) if name in TAGS}
+
+
+def _named(tags: Any, names: Sequence[str]) -> dict[str, str]:
+    """Return those tags of an object that have some names."""
+    get = tags.get
+    return {name: value for name in names if (value := get(name)) is not None}
+
+
+def _all_of(items: Any) -> Iterator[Any]:
+    """Return the items of a list of pyosmium, which takes as long to find its end as for ten of them."""
+    return islice(items, len(items))
+
+
+def _may_stand(tags: dict[str, str]) -> bool:
+    """Return whether an object with these tags (`_tags_of`) may stand, or is water."""
+    if not tags.keys().isdisjoint(SURE) or tags.get("barrier", "kerb") not in LOW_BARRIERS:
+        return True
+    for key in SOME.keys() & tags.keys():
+        if _is_some(key, tags[key]):
+            return True
+    return tags.get("layer", "0") > "0" and ("highway" in tags or "railway" in tags)
+
+
+@lru_cache(maxsize=2**12)
+def _is_some(key: str, text: str) -> bool:
+    """Return whether a value of a key, or one of a list with semicolons, is one of `SOME`, in any case."""
+    return any(word.strip().lower() in SOME[key] for word in text.split(";"))
+
+
+def _each_side_once(line: shapely.Geometry) -> shapely.Geometry:
+    """Return a line, or of one that comes to a place again each side once."""
+    points = [*map(tuple, shapely.get_coordinates(line).tolist())]
+    if len({*points}) < len(points) - 1:
+        sides = {tuple(sorted(side)) for side in pairwise(points) if side[0] != side[1]}
+        return shapely.MultiLineString(sorted(sides))
+    return line
+
+
+def is_osm(path: str | Path) -> bool:
+    """Return whether a file is one of OpenStreetMap by its name or its content."""
+    is_named = str(path).lower().endswith(OSM_SUFFIXES)
+    return is_named or (Path(path).is_file() and sniff(path) in OSM_SUFFIXES)
+
+
+def format_of(path: str | Path) -> str:
+    """Return pyosmium's name of the format of a file that it can read, by the content."""
+    return "pbf" if sniff(path) == ".pbf" else "osm"
+
+
+def _file(path: str | Path) -> osmium.io.File:
+    """Return a file for pyosmium, whose format its content says."""
+    return osmium.io.File(str(path), format_of(path))
+
+
+def open_osm(path: str | Path, *handlers: Any) -> osmium.FileProcessor:
+    """Return a processor that knows every node's place when a way comes by, even if the nodes follow the ways.
+
+    In XML, as the Overpass API writes it, they may, in any order; its nodes are read before. PBF files are sorted.
+
+    Args:
+      path: of the file.
+      handlers: filters and what they hand nodes to, before the processor begins.
+    """
+    file = _file(path)
+    is_sorted = format_of(path) == "pbf"
+    # Any: the package's own annotation says str.
+    locations: Any = osmium.index.create_map("flex_mem" if is_sorted else "sparse_mem_map")
+    if not is_sorted:
+        handlers = osmium.NodeLocationsForWays(locations), *handlers
+    if handlers:
+        with osmium.io.Reader(file, osmium.osm.NODE) as reader:
+            osmium.apply(reader, *handlers)
+    return osmium.FileProcessor(file).with_locations(locations)
+
+
+def header_box(path: str | Path) -> Bounds | None:
+    """Return west, south, east, north in degrees of an OSM file by its header, None where the header does not say.
+
+    JSON has no header.
+
+    Raises:
+      InputError: the file cannot be read.
+    """
+    if sniff(path) == ".osm.json":
+        return None
+    with (
+        readable(path, "OpenStreetMap data", "fetch it again"),
+        in_own_words(),
+        unpacked(path) as plain,
+        osmium.io.Reader(_file(plain), osmium.osm.NOTHING) as reader,
+    ):
+        box = reader.header().box()
+    if not box.valid():
+        return None
+    return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat

@@ -1,0 +1,68 @@
+"""Wires: lines cut at their vertices, each piece a curtain from the ground up to the higher of its two supports."""
+
+from dataclasses import replace
+
+import numpy as np
+import shapely
+
+from jaxurban.cities.kinds import LONG_SPAN_M, Kind
+from jaxurban.cities.outlines import Outlines
+from jaxurban.world.footprints import Footprints, HeightOrigin
+from jaxurban.world.kinds import WIRES
+
+SUPPORT_M = 1.0  # so near a vertex a point carries the wire
+
+
+def in_spans(outlines: Outlines) -> Outlines:
+    """Return outlines, ``N``, with every line of a wire as its spans, one for each pair of vertices.
+
+    Args:
+      outlines: from `what_stands`.
+    """
+    kinds = outlines.tags["verdict"]
+    is_wire = np.array([isinstance(kind, Kind) and kind.name in WIRES for kind in kinds], bool)
+    is_wire &= shapely.get_dimensions(outlines.polygons) > 0
+    wires = np.flatnonzero(is_wire)
+    lines = outlines.polygons[wires]
+    lines = np.where(shapely.get_dimensions(lines) == 2, shapely.boundary(lines), lines)
+    lines, wire = shapely.get_parts(lines, return_index=True)
+    places, line = shapely.get_coordinates(lines, return_index=True)
+    first = np.flatnonzero(line[:-1] == line[1:])
+    spans = shapely.linestrings(np.stack([places[first], places[first + 1]], axis=1))
+
+    others = np.flatnonzero(~is_wire)
+    cut = outlines.take(np.append(others, wires[wire[line[first]]]))
+    return replace(cut, polygons=np.append(outlines.polygons[others], spans))
+
+
+def with_supports(structures: Footprints, shapes: np.ndarray) -> Footprints:
+    """Return structures in which spans without a height of their own have that of the higher of their two supports.
+
+    A vertex without a support counts as high as its line by kind. Sag is left out: a wire hangs lower. A span of more
+    than `LONG_SPAN_M` between guessed heights has no bound.
+
+    Args:
+      structures: ``N``, with spans of `in_spans`.
+      shapes: ``[N]`` what they were before they had an extent.
+    """
+    dimension = shapely.get_dimensions(shapes)
+    is_span = (dimension == 1) & np.isin(structures.kinds, WIRES) & structures.is_guessed
+    is_support = (dimension == 0) & (structures.height_m > 0)
+    supports = structures.take(is_support)
+    ends = shapely.points(shapely.get_coordinates(shapes[is_span]))
+    end, support = shapely.STRtree(shapes[is_support]).query_nearest(ends, max_distance=SUPPORT_M)
+
+    # By end, then the higher of both ends of a span, which is unsure if either is.
+    higher = {}
+    for name in ("height_m", "upper_m", "is_guessed"):
+        by_end = np.repeat(getattr(structures, name)[is_span], 2)
+        by_end[end] = getattr(supports, name)[support]
+        higher[name] = by_end.reshape(-1, 2).max(axis=1)
+    is_unsure = higher["is_guessed"]
+    is_long = shapely.length(shapes[is_span]) > LONG_SPAN_M
+
+    columns = {name: getattr(structures, name).copy() for name in ("height_m", "limit_m", "origin")}
+    columns["height_m"][is_span] = higher["height_m"]
+    columns["limit_m"][is_span] = np.where(is_unsure & is_long, np.inf, higher["upper_m"])
+    columns["origin"][is_span] = np.where(is_unsure, HeightOrigin.DEFAULT, HeightOrigin.HEIGHT)
+    return replace(structures, **columns)

@@ -1,0 +1,223 @@
+"""What known heights say of unknown ones: medians, the order statistic, own and packaged values, the user's word."""
+
+import json
+
+import numpy as np
+import pytest
+import shapely
+from scipy.stats import binom
+
+import jaxurban as ju
+from jaxurban.cities import city as city_reader
+from jaxurban.cities.buildings import to_buildings
+from jaxurban.cities.city import read_buildings
+from jaxurban.cities.outlines import Outlines
+from jaxurban.io.learned import (
+    LEAST_FOR_GUESS,
+    LEAST_KNOWN,
+    PACKAGED,
+    classes_of,
+    learned_from,
+    likely_of,
+)
+from jaxurban.world.footprints import HeightOrigin
+from tests.io.made_files import write_vector
+
+UTM = "EPSG:32618"
+SMALL, LARGE = "buildings of 60 to 200 m2", "buildings above 1,000 m2"
+
+
+def shapely_features(features: list[tuple[shapely.Geometry, dict[str, str]]]) -> str:
+    """Return the text of a GeoJSON file of geometries and their tags."""
+    listed = [
+        {"type": "Feature", "geometry": shapely.geometry.mapping(shape), "properties": tags}
+        for shape, tags in features
+    ]
+    return json.dumps({"type": "FeatureCollection", "features": listed})
+
+
+def houses(num: int, height_m: np.ndarray | float, side_m: float = 10.0) -> tuple[list, list]:
+    """Return squares in a row, and their heights."""
+    x_m = 580_000 + 30.0 * np.arange(num) + np.zeros(num)
+    boxes = shapely.box(x_m, 4_500_000, x_m + side_m, 4_500_000 + side_m)
+    return list(boxes), list(np.broadcast_to(height_m, num))
+
+
+def test_likely_is_passed_by_one_in_a_hundred_of_the_next():
+    rng = np.random.default_rng(1)
+    passed = [
+        rng.exponential(10) > likely_of(rng.exponential(10, LEAST_KNOWN)) for _ in range(4000)
+    ]
+    low, high = binom.interval(0.999, len(passed), 0.01)
+    assert sum(passed) <= high
+    assert sum(passed) >= low / 2  # and it is no needless bound
+
+
+@pytest.mark.parametrize(("num", "is_own"), [(LEAST_KNOWN - 1, False), (LEAST_KNOWN, True)])
+def test_own_heights_count_from_so_many_on(num, is_own):
+    known_m = np.append(np.linspace(1, 30, num), [0.0])
+    (learned,) = learned_from(np.full(num + 1, SMALL, object), known_m, known_m).values()
+    assert learned.highest_m == 30
+    assert learned.num_known == num * is_own
+    rank = int(np.ceil((num + 1) * 0.99))
+    own = known_m[rank - 1]
+    assert learned.likely_m == (own if is_own else PACKAGED[SMALL][1])
+
+
+@pytest.mark.parametrize("num", [LEAST_FOR_GUESS - 1, LEAST_FOR_GUESS])
+def test_guess_is_the_median_of_the_file_where_that_knows_enough(tmp_path, num):
+    """Levels count too, parts do not, and the guess stays below what is likely and the bound."""
+    num_tall = num // 2
+    heights_m = np.append(np.linspace(60, 90, num_tall), np.full(num - num_tall + 2, np.nan))
+    levels = np.append(np.full(num_tall, np.nan), np.linspace(16, 18, num - num_tall))
+    shapes, _ = houses(num + 2, 0.0)
+    about = {"height": heights_m, "levels": [*levels, np.nan, np.nan]}
+    about["building"] = ["yes"] * (num + 1) + ["garage"]
+    path = write_vector(tmp_path / "town.gpkg", shapes, **about)
+    city = read_buildings(ju.Buildings(path), UTM)
+    is_own = num == LEAST_FOR_GUESS
+    known_m = np.fmax(np.nan_to_num(heights_m[:num]), 3 * np.nan_to_num(levels))
+    guess_m = np.median(known_m) if is_own else PACKAGED[SMALL][0]
+    learned = city.learned[SMALL]
+    assert (learned.guess_m, learned.num_for_guess) == (guess_m, num * is_own)
+    house, garage = np.flatnonzero(city.buildings.origin == HeightOrigin.DEFAULT)
+    buildings = city.buildings
+    assert buildings.height_m[house] == guess_m
+    assert buildings.height_m[garage] == min(guess_m, 25)
+    assert learned.likely_m >= guess_m
+    assert np.all(buildings.height_m <= buildings.likely_upper_m)
+    assert np.all(buildings.likely_upper_m <= buildings.upper_m)
+    said = read_buildings(ju.Buildings(path, default_height_m=12.5), UTM).buildings
+    assert said.height_m[[house, garage]].tolist() == [12.5, 12.5]
+
+
+def test_guess_of_each_class_and_of_trees_is_packaged_where_the_file_knows_few():
+    sides_m = np.sqrt([50.0, 100.0, 500.0, 2000.0])
+    outlines = [shapely.box(200.0 * i, 0, 200 * i + side, side) for i, side in enumerate(sides_m)]
+    trees = [shapely.Point(0, 500 + 20 * i) for i in range(LEAST_FOR_GUESS + 1)]
+    tags = {"building": np.array(["yes"] * 4 + [None] * len(trees), object)}
+    tags["natural"] = np.array([None] * 4 + ["tree"] * len(trees), object)
+
+    def read(num_known):
+        heights = [None] * 4 + ["50"] * num_known + [None] * (len(trees) - num_known)
+        tags["height"] = np.array(heights, object)
+        shapes = np.array(outlines + trees, object)
+        given = Outlines(shapes, tags, UTM, (), {})
+        return to_buildings(ju.Buildings("town.osm"), given, UTM)
+
+    buildings, structures, *_, learned = read(LEAST_FOR_GUESS - 1)
+    assert buildings.height_m.tolist() == [PACKAGED[name][0] for name in list(PACKAGED)[:4]]
+    assert structures.height_m[-1] == PACKAGED["tree"][0]
+    _, structures, *_, learned = read(LEAST_FOR_GUESS)
+    assert (learned["tree"].guess_m, learned["tree"].num_for_guess) == (50, LEAST_FOR_GUESS)
+    # Where half of the known ones are higher, the bound of 35 m is none.
+    assert (structures.height_m[-1], structures.likely_upper_m[-1]) == (50, 50)
+    assert structures.upper_m[-1] == np.inf
+
+
+def test_classes_begin_at_their_areas():
+    areas_m2 = np.array([1, 59.9, 60, 199, 200, 999, 1000, 1e6])
+    assert classes_of(areas_m2).tolist() == [name for name in list(PACKAGED)[:4] for _ in "12"]
+
+
+def test_file_is_the_same_for_a_part_of_its_region(tmp_path):
+    shapes, heights_m = houses(400, np.append(np.linspace(3, 20, 399), np.nan))
+    path = write_vector(tmp_path / "town.gpkg", shapes, height=heights_m)
+    whole = read_buildings(ju.Buildings(path), UTM)
+    x_m = shapely.bounds(shapes[-1])[0]
+    part = read_buildings(ju.Buildings(path), UTM, bounds_m=(x_m, 4_500_000, x_m + 10, 4_500_010))
+    assert part.learned == whole.learned
+    assert part.learned[SMALL].num_known == part.learned[SMALL].num_for_guess == 399
+    assert len(part.buildings) < 5
+    (unknown,) = part.buildings.likely_upper_m[part.buildings.is_guessed]
+    assert unknown == part.learned[SMALL].likely_m < 20
+    assert part.buildings.height_m[part.buildings.is_guessed] == pytest.approx([11.5])
+
+
+def test_a_large_file_says_nothing_of_its_parts_and_of_the_whole(tmp_path, monkeypatch):
+    shapes, heights_m = houses(400, np.append(np.linspace(3, 20, 399), np.nan))
+    path = write_vector(tmp_path / "town.gpkg", shapes, height=heights_m)
+    monkeypatch.setattr(city_reader, "SMALL_BYTES", 1)
+    for bounds_m in (None, (580_000, 4_500_000, 600_000, 4_500_010)):
+        town = read_buildings(ju.Buildings(path), UTM, bounds_m=bounds_m)
+        (guess_m,) = town.buildings.height_m[town.buildings.is_guessed]
+        assert guess_m == PACKAGED[SMALL][0]
+        assert town.learned[SMALL].num_for_guess == 0
+
+
+def test_guess_is_said_with_its_value_and_how_many_heights_say_it(tmp_path):
+    shapes, heights_m = houses(31, np.append(np.full(30, 8.0), np.nan))
+    large, unknown_m = houses(1, np.nan, 40.0)
+    large = [shapely.transform(large[0], lambda xy: xy + np.array([0, 500]))]
+    path = write_vector(tmp_path / "town.gpkg", shapes + large, height=heights_m + unknown_m)
+    said = "2 by the median of their class: .*60 to 200 m2 8 m of 30 known; .*above 1,000 m2 33 m of the pack"
+    with pytest.warns(ju.GuessWarning, match=said):
+        ju.City.from_files(path)
+    with pytest.warns(ju.GuessWarning, match="2 by the default of 12 m"):
+        ju.City.from_files(ju.Buildings(path, default_height_m=12.0))
+
+
+def test_bound_ends_where_the_file_knows_higher_ones_and_at_the_users_word(tmp_path):
+    shapes, heights_m = houses(2, np.array([120.0, np.nan]), 40.0)
+    small, unknown_m = houses(1, np.nan)
+    small = [shapely.transform(small[0], lambda xy: xy + np.array([0, 500]))]
+    path = write_vector(tmp_path / "town.gpkg", shapes + small, height=heights_m + unknown_m)
+
+    def limits_m(**how) -> list[float]:
+        buildings = read_buildings(ju.Buildings(path, **how), UTM).buildings
+        return buildings.upper_m[buildings.is_guessed].tolist()
+
+    assert limits_m() == [np.inf, 100]
+    assert limits_m(highest_m=40.0) == [40, 40]
+    assert limits_m(highest_m={"building": 8.0, "tree": 3.0}) == [8, 8]
+    with pytest.raises(ju.InputError, match="did you mean 'tree'"):
+        limits_m(highest_m={"trees": 3.0})
+    with pytest.raises(ju.InputError, match="above 0"):
+        ju.Buildings(path, highest_m=0.0)
+
+
+def test_users_word_takes_nothing_back_that_the_file_says(tmp_path):
+    path = tmp_path / "town.geojson"
+    house = shapely.box(8.0, 48.0, 8.0002, 48.0002)
+    features = [
+        (house, {"building": "yes", "height": "50"}),
+        (shapely.Point(8.0001, 48.0001), {"man_made": "mast"}),
+        (shapely.Point(8.001, 48.0001), {"man_made": "mast"}),
+        (
+            shapely.transform(house, lambda xy: xy + np.array([0.002, 0])),
+            {"building": "yes", "building:levels": "30"},
+        ),
+        (
+            shapely.transform(house, lambda xy: xy + np.array([0.004, 0])),
+            {"building:part": "yes", "min_height": "60"},
+        ),
+        (shapely.transform(house, lambda xy: xy + np.array([0.006, 0])), {"building": "yes"}),
+    ]
+    path.write_text(shapely_features(features))
+    word = ju.Buildings(path, highest_m={"building": 12.0, "mast": 10.0})
+    read = read_buildings(word, UTM)
+    said = read_buildings(ju.Buildings(path), UTM)
+    levels, floor, plain = (
+        read.buildings.polygons.tolist().index(each) for each in said.buildings.polygons[-3:]
+    )
+    assert (
+        read.buildings.height_m[[levels, floor]].tolist()
+        == said.buildings.height_m[[levels, floor]].tolist()
+    )
+    assert read.buildings.upper_m[levels] == 90
+    assert read.buildings.upper_m[floor] == np.inf
+    assert read.buildings.upper_m[plain] == 12
+    assert read.structures.upper_m.tolist() == [np.inf, 10]
+
+
+def test_word_of_the_user_is_a_guess_of_the_city_and_of_its_scenario(tmp_path):
+    with pytest.warns(ju.GuessWarning, match="highest_m = 40"):
+        city = ju.City.from_files(
+            ju.Buildings("sample:lower-manhattan", highest_m=40.0),
+            bounds=(-74.012, 40.705, -74.010, 40.707),
+        )
+    assert any("highest_m = 40" in guess.name for guess in city.guesses)
+    buildings = {"source": "sample:lower-manhattan", "highest_m": {"tree": 25.0}}
+    scenario = ju.Scenario.from_dict({"buildings": buildings})
+    (tmp_path / "town.toml").write_text(scenario.to_toml())
+    assert ju.Scenario.from_toml(tmp_path / "town.toml").buildings.highest_m == {"tree": 25.0}

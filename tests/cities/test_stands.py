@@ -1,0 +1,413 @@
+"""What of a file's features stands: buildings, other structures, the unknown, and what is left out and why."""
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import LineString, Point, box
+
+import jaxurban as ju
+from jaxurban.cities.buildings import to_buildings
+from jaxurban.cities.columns import tags_of
+from jaxurban.cities.kinds import KINDS
+from jaxurban.cities.outlines import Outlines
+from jaxurban.world.footprints import HeightOrigin
+
+UTM = "EPSG:32618"
+AREA = box(0, 0, 10, 10)
+WAY = LineString([(0, 0), (30, 0)])
+PLACE = Point(5, 5)
+# The octagon around a circle of a radius of 1: its area, and how far its corners lie.
+CROWN = 8 * np.tan(np.pi / 8)
+WIDE = 1 / np.cos(np.pi / 8)
+
+
+def stand(*features, **rules):
+    """Return buildings, structures and what was counted, of features: a shape in metres and its tags each."""
+    names = {"building", *(name for _, tags in features for name in tags)}
+    columns = {
+        name: np.array([tags.get(name) for _, tags in features], object) for name in sorted(names)
+    }
+    shapes = np.array([shape for shape, _ in features], object)
+    outlines = Outlines(shapes, tags_of(columns), UTM, ((0.0, 0.0, 1.0, 1.0),), {})
+    file = ju.Buildings("city.osm", **{"default_height_m": 10.0} | rules)
+    buildings, structures, _, issues, _ = to_buildings(file, outlines, UTM)
+    return buildings, structures, {name: count for name, count in issues.items() if count}
+
+
+@pytest.mark.parametrize(
+    ("shape", "tags", "kind", "height_m", "upper_m", "area_m2"),
+    [
+        (AREA, {"man_made": "chimney", "height": "180"}, "chimney", 180, 180, 100),
+        (AREA, {"man_made": "storage_tank", "height": "18 m"}, "tank", 18, 18, 100),
+        (AREA, {"man_made": "tower"}, "tower", 30, np.inf, 100),
+        (AREA, {"man_made": "storage_tank"}, "tank", 10, 30, 100),
+        (PLACE, {"man_made": "crane", "height": "60"}, "crane", 60, 60, np.pi * 25),
+        (PLACE, {"man_made": "silo", "diameter": "8"}, "tank", 20, np.inf, np.pi * 16),
+        (PLACE, {"man_made": "pipeline", "diameter": "400"}, "unknown", 0, 50, np.pi),
+        (PLACE, {"man_made": "silo", "diameter": "0"}, "tank", 20, np.inf, np.pi * 100),
+        (PLACE, {"power": "tower"}, "pylon", 30, 100, np.pi * 16),
+        (
+            PLACE,
+            {"power": "generator", "height:hub": "90", "rotor:diameter": "100"},
+            "turbine",
+            140,
+            140,
+            np.pi * 2500,
+        ),
+        (WAY, {"man_made": "gantry", "height": "8"}, "canopy", 8, 8, 60 + np.pi),
+        # What no table knows stands with a height, and is unknown where it has an area alone.
+        (AREA, {"man_made": "monument_of_a_kind", "height": "40"}, "structure", 40, 40, 100),
+        (AREA, {"man_made": "monument_of_a_kind"}, "unknown", 0, 50, 100),
+        (PLACE, {"man_made": "thing"}, "unknown", 0, 50, np.pi),
+        (WAY, {"power": "thing"}, "unknown", 0, 50, 60 + np.pi),
+        (WAY, {"man_made": "beam"}, "canopy", 6, 15, 60 + np.pi),
+        # A wheel is half as wide as it is high, and as wide as others where its height is not known.
+        (
+            PLACE,
+            {"attraction": "big_wheel", "height": "135"},
+            "structure",
+            135,
+            135,
+            np.pi * 67.5**2,
+        ),
+        (PLACE, {"attraction": "drop_tower"}, "unknown", 0, 200, np.pi * 900),
+        (AREA, {"roller_coaster": "track"}, "unknown", 0, 200, 100),
+        (PLACE, {"historic": "monument"}, "unknown", 0, 60, np.pi * 25),
+        (PLACE, {"historic": "maritime", "height": "7 units"}, "unknown", 0, np.inf, np.pi),
+        (WAY, {"historic": "citywalls"}, "unknown", 0, 30, 120 + np.pi * 4),
+        (AREA, {"barrier": "wall"}, "unknown", 0, 10, 80 - 4 + np.pi),  # around a yard
+        (WAY, {"barrier": "retaining_wall", "height": "8"}, "structure", 8, 8, 60 + np.pi),
+        (WAY, {"barrier": "kerb;thing"}, "unknown", 0, 50, 60 + np.pi),
+        (WAY, {"telecom": "line"}, "wire", 10, 30, 60 + np.pi),
+        (PLACE, {"telecom": "antenna", "communication": "line"}, "wire", 10, 30, np.pi),
+        (WAY, {"man_made": "pipeline", "location": "overhead"}, "unknown", 0, 50, 60 + np.pi),
+        (WAY, {"location": "overhead"}, "unknown", 0, 30, 120 + np.pi * 4),
+        (PLACE, {"location": "overhead", "man_made": "surveillance"}, "unknown", 0, 15, np.pi),
+        (PLACE, {"highway": "street_lamp"}, "unknown", 0, 15, np.pi),
+        (PLACE, {"highway": "street_lamp", "height": "9"}, "structure", 9, 9, np.pi),
+        (PLACE, {"pipeline": "substation"}, "unknown", 0, 50, np.pi),
+        # What is not in use stands, whatever its key.
+        (PLACE, {"disused:attraction": "big_wheel"}, "unknown", 0, 200, np.pi * 900),
+        (WAY, {"abandoned:barrier": "city_wall"}, "unknown", 0, 30, 120 + np.pi * 4),
+        (PLACE, {"disused:bridge:support": "pylon"}, "unknown", 0, 350, np.pi * 25),
+        (AREA, {"abandoned:historic": "castle"}, "unknown", 0, 50, 100),
+        # Not a form of the land; a height in words; a generator, of wind perhaps; a shaft, and a booth.
+        (PLACE, {"natural": "arch", "height": "25"}, "structure", 25, 25, np.pi),
+        (PLACE, {"tourism": "artwork", "height": "tall"}, "unknown", 0, 50, np.pi),
+        (PLACE, {"power": "generator"}, "unknown", 0, np.inf, np.pi * 2500),
+        (PLACE, {"power": "generator", "height": "9"}, "structure", 9, 9, np.pi),
+        (
+            PLACE,
+            {"power": "generator", "generator:type": "horizontal_axis"},
+            "turbine",
+            100,
+            np.inf,
+            np.pi * 2500,
+        ),
+        (PLACE, {"man_made": "mineshaft"}, "unknown", 0, 50, np.pi),
+        (PLACE, {"barrier": "toll_booth"}, "unknown", 0, 50, np.pi),
+        (WAY, {"natural": "cliff"}, "unknown", 0, 50, 60 + np.pi),
+        (PLACE, {"bridge:support": "pylon"}, "unknown", 0, 350, np.pi * 25),
+        (PLACE, {"historic": "memorial", "height": "25"}, "structure", 25, 25, np.pi),
+        (PLACE, {"man_made": "cross", "height": "34"}, "structure", 34, 34, np.pi),
+        (PLACE, {"man_made": "cross", "height": "34 units"}, "unknown", 0, np.inf, np.pi),
+        (AREA, {"disused:man_made": "chimney"}, "chimney", 30, np.inf, 100),
+        (
+            AREA,
+            {"was:building": "yes", "man_made": "chimney", "height": "60"},
+            "chimney",
+            60,
+            60,
+            100,
+        ),
+        (PLACE, {"man_made": "thing;mast"}, "mast", 20, np.inf, np.pi),
+        (PLACE, {"tower:type": "communication"}, "mast", 30, np.inf, np.pi * 25),
+        (
+            PLACE,
+            {"power": "generator", "generator:source": "wind"},
+            "turbine",
+            100,
+            np.inf,
+            np.pi * 2500,
+        ),
+        (AREA, {"man_made": "gasometer", "height": "40", "barrier": "fence"}, "tank", 40, 40, 100),
+        (AREA, {"man_made": "works", "height": "12"}, "structure", 12, 12, 100),
+        # A fence around a yard stands on its border.
+        (WAY, {"barrier": "fence", "height": "30"}, "structure", 30, 30, 60 + np.pi),
+        (AREA, {"barrier": "fence", "height": "30"}, "structure", 30, 30, 80 - 4 + np.pi),
+        (AREA, {"man_made": "bridge"}, "bridge", 5.5, 100, 100),
+        (
+            LineString([(90, 0), (0, 0), (0, 10), (90, 10)]),  # the border of one that is cut off
+            {"man_made": "bridge"},
+            "bridge",
+            5.5,
+            100,
+            900,
+        ),
+        # Crowns, octagons around a circle: as wide as they say, else 0.8 times as wide as the tree is
+        # high; a trunk's diameter is none.
+        (
+            PLACE,
+            {"natural": "tree", "height": "20", "diameter_crown": "6"},
+            "tree",
+            20,
+            20,
+            CROWN * 9,
+        ),
+        (PLACE, {"natural": "tree", "height": "20", "diameter": "90"}, "tree", 20, 20, CROWN * 64),
+        (PLACE, {"natural": "tree"}, "tree", 7, 35, CROWN * 2.8**2),
+        (WAY, {"natural": "tree_row", "height": "10"}, "tree", 10, 10, 30 * WIDE * 8 + CROWN * 16),
+        (AREA, {"natural": "wood"}, "wood", 20, 45, 100),
+        (AREA, {"landuse": "forest", "height": "12"}, "wood", 12, 12, 100),
+        (LineString([(0, 0), (10, 0), (10, 10)]), {"landuse": "forest"}, "wood", 20, 45, 50),
+        (WAY, {"power": "line"}, "wire", 30, 100, 30 * 30 + np.pi * 225),
+        (WAY, {"power": "minor_line", "height": "9", "min_height": "8"}, "wire", 9, 9, 132.6),
+        (WAY, {"aerialway": "gondola"}, "cableway", 30, np.inf, 300 + np.pi * 25),
+        (PLACE, {"kind": "Wood"}, "wood", 20, 45, np.pi * 100),
+        (AREA, {"type": "crane"}, "crane", 30, np.inf, 100),
+        # A building that is not whole: the hull of what is known of it.
+        (LineString([(0, 0), (10, 0), (10, 10)]), {"building": "yes"}, "unknown", 0, 100, 130.8),
+        (PLACE, {"building": "garage"}, "unknown", 0, 25, np.pi * 4),
+    ],
+)
+def test_structures_stand_with_a_height_or_an_upper_bound(
+    shape, tags, kind, height_m, upper_m, area_m2
+):
+    buildings, structures, _ = stand((shape, tags))
+    assert len(buildings) == 0
+    assert structures.kinds.tolist() == [kind]
+    assert structures.height_m.tolist() == pytest.approx([height_m])
+    assert structures.upper_m.tolist() == pytest.approx([upper_m])
+    assert shapely.area(structures.polygons) == pytest.approx([area_m2], rel=0.02)
+    is_known = upper_m == height_m
+    assert structures.is_guessed.tolist() == [not is_known]
+
+
+@pytest.mark.parametrize(
+    ("tags", "reason"),
+    [
+        ({"building": "no"}, "not_buildings"),
+        ({"building": "yes", "location": "underground"}, "underground"),
+        ({"building:part": "yes", "level": "-1"}, "underground"),
+        ({"building:part": "yes", "level": "-2;-1"}, "underground"),
+        ({"building": "yes", "building:levels": "0", "building:levels:underground": "2"},
+         "underground"),
+        ({"building": "parking", "parking": "underground"}, "underground"),
+        ({"man_made": "pipeline", "height": "8", "location": "underground"}, "underground"),
+        ({"demolished:building": "yes", "height": "40"}, "razed"),
+        ({"demolished:man_made": "chimney", "height": "40"}, "razed"),
+        ({"waterway": "waterfall", "height": "40"}, "not_standing"),
+        ({"building": "razed"}, "razed"),
+        ({"proposed:building": "yes"}, "planned"),
+        ({"man_made": "pier"}, "not_standing"),
+        ({"man_made": "surveillance", "height": "5"}, "not_standing"),
+        ({"power": "substation"}, "not_standing"),
+        ({"barrier": "wall", "height": "2"}, "not_standing"),
+        *(({"natural": kind, "height": "20", "building": ""}, "not_standing") for kind in ("peak", "ridge")),
+        ({"barrier": "kerb", "height": "low", "building": ""}, "not_standing"),
+        ({"power": "generator", "generator:source": "solar"}, "not_standing"),
+        ({"removed:man_made": "tower"}, "razed"),
+        *(({"barrier": kind}, "not_standing") for kind in ("kerb", "fence", "door", "hedge")),
+        *(({"historic": kind}, "not_standing") for kind in ("memorial", "district")),
+        ({"attraction": "maze"}, "not_standing"),
+        ({"bridge": "no", "barrier": "kerb"}, "not_standing"),
+        ({"highway": "street_lamp", "height": "4"}, "not_standing"),
+        ({"indoor": "yes", "attraction": "dark_ride", "building": ""}, "not_buildings"),
+        ({"natural": "scrub", "height": "4"}, "not_standing"),
+        ({"power": "line", "location": "underground"}, "underground"),
+    ],
+)  # fmt: skip
+def test_what_does_not_stand_is_counted_by_its_reason(tags, reason):
+    buildings, structures, issues = stand((AREA, tags))
+    assert (len(buildings), len(structures)) == (0, 0)
+    assert issues == {reason: 1}
+
+
+def test_what_no_table_knows_is_unknown_under_the_name_that_the_file_gives_it():
+    things = {"man_made": "thing"}, {"barrier": "city_wall"}, {"historic": "yes", "man_made": "no"}
+    _, structures, issues = stand(*((PLACE, tags) for tags in things))
+    names = ["man_made=thing", "barrier=city_wall", "historic=yes"]
+    assert structures.named.tolist() == structures.label.tolist() == names
+    assert issues == {"unknown_extent": 3}
+    assert structures.joined(structures).named.tolist() == 2 * names
+
+
+@pytest.mark.parametrize("key", KINDS)
+def test_a_value_of_a_key_that_is_in_no_row_is_never_nothing(key):
+    names = (key, key[:10], key, key, key[:10])  # also as Shapefiles cut it
+    for name, value in zip(names, ("yes", "yes", "never_heard_of", "1", "Yes;no"), strict=True):
+        _, structures, _ = stand((PLACE, {name: value}))
+        assert len(structures) == 1
+        assert structures.upper_m[0] >= 10
+
+
+def test_water_is_neither_counted_nor_does_it_stand():
+    for tags in ({"natural": "water"}, {"natural": "coastline"}, {"waterway": "river"}):
+        _, structures, issues = stand((AREA, {"building": "", **tags}))
+        assert (len(structures), issues) == (0, {})
+
+
+def test_what_a_building_is_beside_that_bounds_its_height():
+    tags = {"building": "yes", "man_made": "chimney"}, {"building": "yes", "bridge:support": "pier"}
+    buildings, *_ = stand(*((box(20 * i, 0, 20 * i + 9, 9), each) for i, each in enumerate(tags)))
+    assert buildings.upper_m.tolist() == [np.inf, 350]
+
+
+def test_around_a_mast_that_guys_hold_it_is_unknown_as_far_as_they_reach():
+    mast = {"man_made": "mast", "height": "120", "tower:construction": "guyed_tube"}
+    _, structures, _ = stand((PLACE, mast))
+    assert structures.named.tolist() == ["mast", "guys"]
+    assert structures.height_m.tolist() == [120, 0]
+    assert structures.upper_m.tolist() == [120, 120]
+    assert shapely.area(structures.polygons[1]) == pytest.approx(np.pi * 96**2, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        {"building": "yes", "layer": "-1"},  # orders, as under a viaduct
+        {"building": "yes", "level": "-1;0;1"},
+        {"building": "yes", "level": "-1-3"},
+        {"building": "apartments", "parking": "underground"},
+        {
+            "building": "yes",
+            "building:levels": "0",
+            "building:levels:underground": "1",
+            "roof:levels": "2",
+        },
+        {"building": "yes", "man_made": "no", "power": "3.1"},
+        {"building": "ruins"},
+        {"abandoned:building": "yes"},
+        {"building": "yes", "man_made": "tower"},
+        {"building": "yes", "demolished:building": "yes"},
+        {"building": "yes", "parking": "underground", "height": "20"},
+    ],
+)
+def test_what_may_stand_stands(tags):
+    buildings, structures, issues = stand((AREA, tags))
+    assert (len(buildings), len(structures), issues) == (1, 0, {})
+
+
+def test_a_roof_of_guessed_height_has_an_upper_bound_by_levels_or_by_its_kind():
+    kinds = ({"building": "yes"}, {"building": "house"}, {"building": "yes", "height": "9"})
+    levels = {"building": "yes", "building:levels": "5"}
+    hanging = {"building:part": "yes", "building:levels": "1", "min_height": "30"}
+    features = [(box(20 * i, 0, 20 * i + 10, 10), tags) for i, tags in enumerate(kinds)]
+    features += [(box(80, 0, 90, 10), levels), (box(100, 0, 110, 10), hanging)]
+    buildings, *_ = stand(*features)
+    assert buildings.height_m.tolist() == [10, 10, 9, 15, 33]
+    # The part on 30 m has one level of at most 6 m, and 10 m on it.
+    assert buildings.upper_m.tolist() == [100, 25, 9, 40, 46]
+
+
+def test_an_outline_with_the_height_of_its_tower_ends_beside_its_parts():
+    church = (box(0, 0, 60, 60), {"building": "church", "height": "80"})
+    tower = (box(0, 0, 10, 10), {"building:part": "yes", "height": "80"})
+    nave = (box(10, 0, 50, 60), {"building:part": "yes", "height": "15"})
+    buildings, *_ = stand(church, tower, nave)
+    assert buildings.height_m.tolist() == [15, 80, 15]
+    assert buildings.upper_m.tolist() == [80, 80, 15]
+    assert buildings.origin[0] == HeightOrigin.BESIDE_PARTS
+    assert shapely.area(buildings.polygons).tolist() == [3600 - 100 - 2400, 100, 2400]
+    # Higher than every part of it an outline is believed.
+    higher, *_ = stand((church[0], church[1] | {"height": "90"}), tower, nave)
+    assert higher.height_m.tolist() == [90, 80, 15]
+
+
+@pytest.mark.parametrize(
+    ("tags", "height_m", "upper_m"),
+    [
+        ({"height": "1,776 ft"}, 541.3248, 541.3248),
+        ({"height": "180 \u043c"}, 180, 180),
+        ({"building:height": "200"}, 200, 200),
+        ({"est_height": "200"}, 200, 300),
+        *(({"height": text}, 10, np.inf) for text in ("180 m AGL", "1500", "inf", "9999")),
+        *(({"height": text}, 10, 100) for text in ("-1", "0", "NaN", "", "tall")),
+    ],
+)
+def test_a_height_that_is_given_is_read_or_bounds_nothing(tags, height_m, upper_m):
+    buildings, *_ = stand((AREA, {"building": "yes", **tags}))
+    assert buildings.height_m.tolist() == pytest.approx([height_m])
+    assert buildings.upper_m.tolist() == pytest.approx([upper_m])
+
+
+def test_a_building_numbered_0_stands_and_a_flag_of_0_says_no():
+    ids, *_ = stand((AREA, {"building": 0}), (AREA, {"building": 7}))
+    flags, *_ = stand((AREA, {"building": 0}), (AREA, {"building": 1}))
+    assert (len(ids), len(flags)) == (2, 1)
+
+
+def test_a_strip_that_parts_leave_of_their_outline_stands():
+    outline = (box(0, 0, 100, 100), {"building": "yes", "height": "50"})
+    for width_m, areas_m2 in ((9, [900, 9100]), (1, [9900])):
+        part = (box(0, width_m, 100, 100), {"building:part": "yes", "height": "50"})
+        buildings, *_ = stand(outline, part)
+        assert shapely.area(buildings.polygons).tolist() == areas_m2
+
+
+def test_a_point_within_a_building_may_stand_on_its_roof():
+    roof = (AREA, {"building": "yes", "height": "60"})
+    _, mast, _ = stand(roof, (PLACE, {"man_made": "mast", "height": "20"}))
+    assert (mast.height_m, mast.upper_m, mast.is_guessed) == (20, 80, True)
+
+
+def test_a_tree_within_a_building_stands_in_its_yard():
+    _, tree, _ = stand((AREA, {"building": "yes", "height": "60"}), (PLACE, {"natural": "tree"}))
+    assert (tree.height_m, tree.upper_m) == (7, 35)
+
+
+def test_a_wire_is_a_curtain_up_to_the_higher_of_its_two_supports():
+    line = LineString([(0, 0), (300, 0), (600, 0), (600, 300), (600, 1000)])
+    towers = [
+        (Point(0, 0), {"power": "tower", "height": "40"}),
+        (Point(300, 0), {"power": "tower", "height": "55"}),
+        (Point(600, 0), {"power": "pole"}),
+        (Point(600, 1000), {"power": "tower"}),
+    ]
+    _, structures, issues = stand((line, {"power": "line"}), *towers)
+    spans = structures.take(structures.kinds == "wire")
+    # Between the pole and a vertex without a support; and so long that nothing bounds its towers.
+    assert spans.height_m.tolist() == [55, 55, 30, 30]
+    assert spans.upper_m.tolist() == [55, 55, 100, np.inf]
+    assert spans.is_guessed.tolist() == [False, True, True, True]
+    for span, ends in zip(
+        spans.polygons, zip(line.coords, line.coords[1:], strict=False), strict=True
+    ):
+        assert span.equals_exact(LineString(ends).buffer(15, quad_segs=8), 1e-6)
+    assert issues == {"unknown_height": 5}
+    # What is unknown beside a vertex carries nothing.
+    _, structures, _ = stand((line, {"power": "line"}), (Point(0, 0), {"highway": "street_lamp"}))
+    assert structures.height_m[structures.kinds == "wire"].tolist() == [30] * 4
+    # A line with a height of its own keeps it.
+    _, structures, _ = stand((line, {"power": "line", "height": "50"}), *towers)
+    assert structures.height_m[structures.kinds == "wire"].tolist() == [50] * 4
+
+
+def test_a_point_within_a_building_names_it():
+    house = (AREA, {"building": "yes", "height": "12"})
+    _, structures, _ = stand(house, (PLACE, {"building": "yes"}))
+    assert len(structures) == 0
+    _, structures, _ = stand(house, (Point(50, 50), {"building": "yes"}))
+    assert structures.kinds.tolist() == ["unknown"]
+
+
+def test_water_that_is_said_to_be_historic_or_made_is_water():
+    lagoon = {"natural": "water", "historic": "yes", "man_made": "yes"}
+    assert not len(stand((AREA, lagoon))[1])
+    assert len(stand((AREA, lagoon | {"man_made": "never_heard_of"}))[1]) == 1
+    assert len(stand((PLACE, lagoon))[1]) == 1
+
+
+def test_a_level_below_the_ground_says_nothing_of_what_is_no_building_or_has_a_height():
+    mast, (building, *_) = (
+        stand((PLACE, {"man_made": "mast", "level": "-1"})),
+        stand((AREA, {"building": "yes", "height": "30", "level": "-1"})),
+    )
+    assert mast[1].kinds.tolist() == ["mast"]
+    assert building.height_m.tolist() == [30]
+
+
+def test_an_unknown_barrier_fills_its_area_and_its_border_is_as_thick_as_a_line():
+    _, structures, _ = stand((AREA, {"barrier": "never_heard_of"}))
+    reach = shapely.buffer(AREA, 1.0)
+    assert shapely.area(structures.polygons) == pytest.approx([reach.area], rel=0.01)
