@@ -5,7 +5,7 @@ missions of every format, over level ground, hills, coarse cells and lost files,
 tables by format and datum, by kind and by world: contacts by the judge, findings, what is not judged, false Clean and
 invented findings. ``--against`` also prints the plain missions of which another checkout says something else.
 With ``--kinds apps`` missions are those of DJI, Litchi, AirData and surveys.
-``tests/paths/missions`` holds the worlds, the missions and the judge.
+``tests/flights/missions`` holds the worlds, the missions and the judge.
 """
 
 import argparse
@@ -28,10 +28,10 @@ import pandas as pd
 from tqdm import tqdm
 
 from benchmarks.common import table
-from tests.paths.missions import verdicts
-from tests.paths.missions.trial import APPS, Court, is_plain, make_maps, write
-from tests.paths.missions.verdicts import Verdict
-from tests.paths.missions.worlds import make_worlds
+from tests.flights.missions import verdicts
+from tests.flights.missions.trial import APPS, Court, is_plain, make_maps, write
+from tests.flights.missions.verdicts import Verdict
+from tests.flights.missions.worlds import make_worlds
 
 CHUNK = 20  # missions that a process tries at a time
 NUM_PLAIN = 300  # whose verdicts are held against another checkout's

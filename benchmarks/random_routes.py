@@ -32,12 +32,12 @@ from tqdm import tqdm
 import jaxurban as ju
 from benchmarks.common import machine, table
 from benchmarks.scenes import PLACES, Scene, load_place
+from jaxurban.flights.export.qgc_plan import END_NOTES
+from jaxurban.flights.export.write import write_path
 from jaxurban.io.zone import Zone
 from jaxurban.maps.build import compute_maps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.explain import explain
-from jaxurban.paths.export.qgc_plan import END_NOTES
-from jaxurban.paths.export.write import write_path
 from jaxurban.paths.finish import simplify
 from jaxurban.paths.places import XY
 from jaxurban.planners.registry import PLANNERS

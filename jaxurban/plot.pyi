@@ -1,4 +1,4 @@
-from jaxurban.report.figures.home import plot_return as plot_return
+from jaxurban.flights.figures import plot_return as plot_return
 from jaxurban.report.figures.metrics import plot_epochs as plot_epochs
 from jaxurban.report.figures.metrics import plot_gps_rating as plot_gps_rating
 from jaxurban.report.figures.metrics import plot_heights as plot_heights

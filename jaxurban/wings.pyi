@@ -11,8 +11,8 @@ from jaxurban.cities.synthetic import demo_city_for_bounds as demo_city_for_boun
 from jaxurban.cities.synthetic import demo_cover_for_bounds as demo_cover_for_bounds
 from jaxurban.cities.vector import open_frame as open_frame
 from jaxurban.cities.vector import open_layers as open_layers
-from jaxurban.io.read.airspace import read_zones as read_zones
-from jaxurban.io.read.mission import read_flight as read_flight
-from jaxurban.paths.export.write import FORMATS as FORMATS
-from jaxurban.paths.export.write import write_path as write_path
-from jaxurban.paths.return_altitude import return_altitude as return_altitude
+from jaxurban.flights.airspace import read_zones as read_zones
+from jaxurban.flights.export.write import FORMATS as FORMATS
+from jaxurban.flights.export.write import write_path as write_path
+from jaxurban.flights.missions.mission import read_flight as read_flight
+from jaxurban.flights.return_altitude import return_altitude as return_altitude

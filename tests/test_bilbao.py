@@ -10,8 +10,8 @@ import jaxurban as ju
 from benchmarks.random_routes import read_plan
 from jaxurban.cities.raster import read_raster
 from jaxurban.cli.main import app
+from jaxurban.flights.export.write import write_path
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
-from jaxurban.paths.export.write import write_path
 from jaxurban.paths.ground import elevation_at
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
@@ -81,7 +81,7 @@ def test_forty_simplified_missions_keep_the_clearance_over_every_roof_that_a_leg
 
     The missions' own check is left out: it would refuse to land on these roofs, and ends are drawn everywhere here.
     """
-    monkeypatch.setattr("jaxurban.paths.export.qgc_plan.check_own", lambda *_: "")
+    monkeypatch.setattr("jaxurban.flights.export.qgc_plan.check_own", lambda *_: "")
     maps, altitude_m, file = ju.open_maps(folder), 22.05 + vertical_m, tmp_path / "path.plan"
     constraints = ju.Constraints(vertical_clearance_m=vertical_m)
     on = cost_map(

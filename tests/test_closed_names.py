@@ -4,8 +4,8 @@ from typing import get_args
 
 import pytest
 
+from jaxurban.flights.export.qgc_plan import END_NOTES
 from jaxurban.io.samples import SAMPLES
-from jaxurban.paths.export.qgc_plan import END_NOTES
 from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
 from jaxurban.settings import (
     PRESETS,

@@ -26,11 +26,11 @@ from hypothesis.stateful import (
 import jaxurban as ju
 from jaxurban.cli.main import main
 from jaxurban.errors import InputError
+from jaxurban.flights.export.write import FORMATS
 from jaxurban.io import tables
 from jaxurban.io.files import SCRATCH_SUFFIX
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario
-from jaxurban.paths.export.write import FORMATS
 from tests.faulty_disk import DAMAGES, WAYS, Killed, counted, harm, values_of
 from tests.made_maps import made_maps
 from tests.tiled_runs import files_of

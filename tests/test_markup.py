@@ -12,12 +12,12 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.flights.report import check_markdown
 from jaxurban.io.files import write_json
 from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.metrics.custom import Layer
 from jaxurban.paths.route_report import short
 from jaxurban.public import Caution
-from jaxurban.report.check import check_markdown
 from jaxurban.report.figures.metrics import plot_metric
 from jaxurban.report.map_comparison import comparison_markdown
 from jaxurban.report.sensitivity import sensitivity_markdown

@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from jaxurban.cli.main import app
-from jaxurban.paths.export.suffixes import ROUTES
-from jaxurban.paths.export.write import FORMATS
+from jaxurban.flights.export.write import FORMATS
+from jaxurban.paths.suffixes import ROUTES
 
 HEAVY = "dask geopandas jax matplotlib numba numpy pandas pydantic pyproj rasterio scipy shapely xarray zarr"
 

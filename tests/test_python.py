@@ -17,7 +17,7 @@ import pytest
 from matplotlib.text import Text
 
 import jaxurban as ju
-from jaxurban.paths.export.write import write_path
+from jaxurban.flights.export.write import write_path
 from jaxurban.plot import bare, plot_metric, plot_overview, plot_paths
 from jaxurban.public import NAMESPACES
 from tests.made_maps import made_maps

@@ -24,7 +24,7 @@ from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
 from jaxurban.io.stored import stored_maps
 from jaxurban.paths.ceiling import CEILING_M
-from jaxurban.paths.export.suffixes import PICTURES
+from jaxurban.paths.suffixes import PICTURES
 from jaxurban.progress import LOG, reporting
 from jaxurban.settings import CLEARANCES, ObstacleRule, Planning, Preset
 

@@ -169,8 +169,8 @@ def _line_of_other(file: Path, error: InputError) -> str:
       InputError: a scenario or a mission that cannot be read; ``error``, why it is none of buildings, if it is no other
         file either.
     """
+    from jaxurban.flights.missions.mission import read_mission
     from jaxurban.io.orbits import read_orbits, span_of
-    from jaxurban.io.read.mission import read_mission
     from jaxurban.io.read.receivers import read_log
     from jaxurban.io.tracks import UTC, read_track
     from jaxurban.maps.scenario import Scenario

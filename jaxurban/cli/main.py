@@ -16,11 +16,9 @@ from typing import Any
 import click
 
 from jaxurban.cities.fetch_command import fetch_command
-from jaxurban.cli.check import check_command
 from jaxurban.cli.common import logged_on_stderr, print_json
 from jaxurban.cli.compare import compare_command
 from jaxurban.cli.demo import demo_command
-from jaxurban.cli.home import return_command
 from jaxurban.cli.info import info_command
 from jaxurban.cli.maps import maps_command
 from jaxurban.cli.plan import plan_command
@@ -32,6 +30,8 @@ from jaxurban.cli.validate import validate_command
 from jaxurban.cli.view import view_command
 from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
+from jaxurban.flights.check_command import check_command
+from jaxurban.flights.return_command import return_command
 from jaxurban.progress import LOG, interrupted
 
 JSON = "--json"

@@ -24,7 +24,7 @@ from jaxurban.cli.common import (
 from jaxurban.cli.options import Values, command, grouped_options
 from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
-from jaxurban.paths.export.suffixes import FLOWN, MISSION, check_picture, check_route_file
+from jaxurban.paths.suffixes import FLOWN, MISSION, check_picture, check_route_file
 from jaxurban.progress import LOG
 from jaxurban.settings import Backend, MissionEnd
 
@@ -268,10 +268,10 @@ def plan_command(
     }
 
     # Imported here: it takes a second or two.
+    from jaxurban.flights.ground_risk import overflown_density
     from jaxurban.maps.levels import Levels
     from jaxurban.paths.explain import explain, with_return_altitude
     from jaxurban.paths.finish import plan_on, simplify
-    from jaxurban.paths.ground_risk import overflown_density
     from jaxurban.paths.plan import cost_map
     from jaxurban.paths.search import PathSearch
     from jaxurban.paths.when import when
@@ -504,9 +504,9 @@ def _write(
       report: from `explain`, for formats that hold its figures.
       outputs: how it is written.
     """
-    from jaxurban.paths.export.qgc_plan import mission_note
-    from jaxurban.paths.export.roof_fences import roof_fences
-    from jaxurban.paths.export.write import WAYPOINTS, elevation_note, write_path
+    from jaxurban.flights.export.qgc_plan import mission_note
+    from jaxurban.flights.export.roof_fences import roof_fences
+    from jaxurban.flights.export.write import WAYPOINTS, elevation_note, write_path
     from jaxurban.paths.finish import simplify
 
     if not planned.status.has_path:

@@ -23,7 +23,7 @@ from jaxurban.cli.common import (
     write_outputs,
 )
 from jaxurban.cli.options import command
-from jaxurban.paths.export.suffixes import PICTURES
+from jaxurban.paths.suffixes import PICTURES
 
 if TYPE_CHECKING:
     import pandas as pd

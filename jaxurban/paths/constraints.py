@@ -181,7 +181,7 @@ class Constraints:
     that it touches, up to what it may reach (``unknown_heights``), over which no more is kept.
 
     Attributes:
-      zones: from `jaxurban.io.read.airspace`; with times of their own they are closed until `at` knows better.
+      zones: from `jaxurban.flights.airspace`; with times of their own they are closed until `at` knows better.
       bounds: what must hold at every cell of a path.
       clearance_m: horizontal distance that paths keep from buildings as high as they fly, and from the maps' border.
       vertical_clearance_m: height that paths keep over roofs; a roof nearer below counts as one as high as they fly.

@@ -123,7 +123,7 @@ class PlannedPath(FactsRepr):
         """Write the path in the format that a file's suffix names, and return the (first) file.
 
         Args:
-          file: ``.geojson``, ``.kml``, ``.gpx`` or ``.plan`` (see `jaxurban.paths.export.write.FORMATS`).
+          file: ``.geojson``, ``.kml``, ``.gpx`` or ``.plan`` (see `jaxurban.flights.export.write.FORMATS`).
           more: further files, for further formats.
           report: from `jaxurban.explain`, to be written too.
           end: how a mission in a ``.plan`` ends: ``"land"``, ``"return"`` or ``"none"`` (see `write_path`).
@@ -150,7 +150,7 @@ class PlannedPath(FactsRepr):
         if not self.status.has_path:
             raise InputError(f"there is no path to save: {self.status.sentence}")
         files = [FilePath(path) for path in (file, *more)]
-        write = resolve_name("jaxurban.paths.export.write:write_files")
+        write = resolve_name("jaxurban.flights.export.write:write_files")
         write(self, files, report, end=end, fence_roofs_m=fence_roofs_m, from_roof=from_roof)
         return files[0]
 

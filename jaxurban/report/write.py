@@ -17,7 +17,7 @@ from PIL import Image
 from jaxurban.io.city import joined_credits
 from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.tables import SUFFIXES, write_table
-from jaxurban.paths.export.suffixes import PICTURES
+from jaxurban.paths.suffixes import PICTURES
 
 REPORT_FILE = "report.md"
 DUST = 1e-9  # what a sum of shares or metres leaves by rounding, which is no number
@@ -155,7 +155,7 @@ def fill(
     Texts of fields that are no `Markdown` are harmless in it. Paragraphs whose only field is empty are left out.
 
     Args:
-      template: the file in the package, as ``report/templates/check``.
+      template: the file in the package, as ``flights/templates/check``.
       tables: what ``{tables[NAME]}`` stands for; a section (from one ## to the next) with a table that is not among
         these, or has no row, is left out.
       figures: names of the pictures that are drawn; the lines of other pictures ``figures/NAME.png`` are left out.

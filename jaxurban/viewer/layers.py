@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import BoundaryNorm, Normalize
 
+from jaxurban.flights.return_altitude import LONG_NAME, NAME
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.base import ALTITUDE, Metric, Scale, Variable, high_is_bad
@@ -16,7 +17,6 @@ from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR
 from jaxurban.paths.closed import CAUSES, causes_at, obstacles_at
 from jaxurban.paths.plan import rules_on
-from jaxurban.paths.return_altitude import LONG_NAME, NAME
 from jaxurban.report.figures.frame import BLOCKED_COLOUR, NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.metrics import (
     EMPTY_COLOUR,

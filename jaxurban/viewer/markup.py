@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.ticker import MaxNLocator
 
+from jaxurban.flights.export.write import FORMATS
 from jaxurban.metrics.variables import GROUP_COLOURS
-from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.route_report import CLEARANCE, GUESSED, short
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR, beneath
 

@@ -11,13 +11,13 @@ from typing import Any, cast
 
 from jaxurban.checks import one_of, values_given
 from jaxurban.errors import InputError
+from jaxurban.flights.export.write import FORMATS
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.explain import explain, with_return_altitude
-from jaxurban.paths.export.write import FORMATS
 from jaxurban.paths.finish import simplify
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import cell_at

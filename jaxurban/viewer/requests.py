@@ -99,7 +99,7 @@ class SkyRequest(Request):
 
 
 class Save(Plan):
-    """A route as a file of a format, by its suffix (`jaxurban.paths.export.write.FORMATS`)."""
+    """A route as a file of a format, by its suffix (`jaxurban.flights.export.write.FORMATS`)."""
 
     format: Name
 

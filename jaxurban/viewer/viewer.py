@@ -17,6 +17,8 @@ import numpy as np
 
 from jaxurban.checks import one_of
 from jaxurban.errors import InputError, JaxurbanError, RemadeError
+from jaxurban.flights.export.base import waypoints
+from jaxurban.flights.return_altitude import NAME, return_altitude
 from jaxurban.io.store import OPENED
 from jaxurban.io.tables import number_or_none
 from jaxurban.maps.metric_maps import MetricMaps
@@ -25,10 +27,8 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.metrics.weights import WeightsLike
-from jaxurban.paths.export.base import waypoints
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import cautious_profile, without_fix
-from jaxurban.paths.return_altitude import NAME, return_altitude
 from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import BY_METHOD, PLANNERS

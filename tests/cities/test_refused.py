@@ -17,8 +17,8 @@ from jaxurban.cities.land_cover import read_land_cover
 from jaxurban.cities.osm import read_osm
 from jaxurban.cities.raster import raster_extent_m, read_raster
 from jaxurban.cities.vector import open_layers, read_vector
+from jaxurban.flights.airspace import read_zones
 from jaxurban.io.orbits import read_orbits
-from jaxurban.io.read.airspace import read_zones
 from jaxurban.settings import SLABS
 from jaxurban.studies.receiver.logs import read_receiver_log
 from tests.io.made_files import (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.paths.export.write import FORMATS
+from jaxurban.flights.export.write import FORMATS
 from tests.cli_runs import run
 from tests.guess_records import NOMINAL, attribute, heights
 from tests.made_maps import made_maps

@@ -14,9 +14,9 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from jaxurban.errors import OtherSettingsWarning
+from jaxurban.flights.export.write import write_path
 from jaxurban.io.files import write_json
 from jaxurban.io.store import write_zarr
-from jaxurban.paths.export.write import write_path
 from jaxurban.studies.montecarlo.trial import Benchmark
 from tests.cli_runs import run
 from tests.made_maps import made_maps

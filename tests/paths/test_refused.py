@@ -9,9 +9,9 @@ import psutil
 import pytest
 
 import jaxurban as ju
+from jaxurban.flights.export.write import write_path
 from jaxurban.io.files import write_json
 from jaxurban.paths.constraints import Bound
-from jaxurban.paths.export.write import write_path
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.studies.queries import make_queries
 from tests.cli_runs import assert_one_sentence, run

@@ -10,8 +10,8 @@ import jaxurban as ju
 from jaxurban.io.rasterise import build_surface
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.surface import obstacles_on
+from tests.flights.test_judged_flight import WAYPOINT, World, checked
 from tests.made_maps import city_of_boxes, made_maps
-from tests.paths.test_judged_flight import WAYPOINT, World, checked
 from tests.paths.volumes import ends_at
 
 SIDE_M, CELL_M = 600.0, 5.0

@@ -8,8 +8,8 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.errors import SkippedRouteWarning
+from jaxurban.flights.export.write import write_path
 from jaxurban.io.routes import read_routes
-from jaxurban.paths.export.write import write_path
 from jaxurban.paths.queries import IN_METRES
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
 from jaxurban.studies.queries import check_alike

@@ -9,10 +9,10 @@ import time
 import numpy as np
 import pytest
 
+from jaxurban.flights.export.write import FORMATS
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.saving import open_maps
 from jaxurban.maps.scenario import Scenario
-from jaxurban.paths.export.write import FORMATS
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.viewer.html import part, write_page
 from jaxurban.viewer.viewer import Viewer

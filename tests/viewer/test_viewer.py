@@ -17,12 +17,12 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.flights.export.write import FORMATS
 from jaxurban.io.files import write_json
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.paths.closed import CAUSES, causes_at
-from jaxurban.paths.export.write import FORMATS
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.viewer.html import part, write_page

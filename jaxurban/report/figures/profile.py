@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.variables import BUILT_COLOUR, GROUP_COLOURS, ROOF_KIND
 from jaxurban.paths.explain import explain
-from jaxurban.paths.export.suffixes import check_picture
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import without_fix
 from jaxurban.paths.route_report import CLEARANCE, GUESSED, RouteReport
+from jaxurban.paths.suffixes import check_picture
 from jaxurban.report.figures.frame import frame_note, joined
 from jaxurban.report.figures.style import (
     FAINT_INK,

@@ -1,0 +1,483 @@
+"""No-fly zones from files: GeoJSON, KML and other vector files, and the geographical zones of ED-269 and ED-318.
+
+ED-269 ("Minimum Operational Performance Standard for Geofencing", 2020): an object whose ``features`` (in some files
+``UASZoneList``) are zones with a ``restriction``, an ``applicability`` in time, and in ``geometry`` one volume or
+several, each with limits in ``uomDimensions`` (M or FT) above ``AGL`` or ``AMSL`` and a ``horizontalProjection``, a
+Polygon or a Circle. ED-318 (2024): GeoJSON whose properties hold ``type`` and ``limitedApplicability``, and whose
+geometries hold a ``layer`` (limits) and, for a circle around a Point, an ``extent``.
+
+In doubt a zone is closed higher, lower, wider and longer than it may be meant, never less, and a warning says so.
+`uas-standards` 4.4 would refuse a whole file for one zone without a country, with hours of sunrise or with heights
+above the ellipsoid, and cut a ceiling of 36.5 m to 36.
+"""
+
+import json
+import math
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban import wings
+from jaxurban.checks import finite
+from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
+from jaxurban.flights.missions.parts import GEOD
+from jaxurban.io.broken import BROKEN
+from jaxurban.io.tables import is_blank
+from jaxurban.io.zone import TURN, Zone, made_valid
+
+# Properties that are read, in any case and with or without "_", "-", " " and ":". All are metres above ground.
+FLOOR_NAMES = (
+    "floor_m",
+    "floor_m_agl",
+    "lower_limit_m",
+    "min_altitude_m",
+    "minimumAltitude",
+    "minAltitude",
+)
+CEILING_NAMES = (
+    "ceiling_m",
+    "ceiling_m_agl",
+    "upper_limit_m",
+    "max_altitude_m",
+    "maximumAltitude",
+    "maxAltitude",
+)
+NAME_NAMES = ("name", "title", "designator", "identifier", "id")
+HEIGHT_WORDS = ("floor", "ceiling", "lower", "upper", "altitude", "height")
+# Properties that name the unit or the zero of heights, by plain name: "uomDimensions", "lowerVerticalReference" ...
+UNIT_NAME = re.compile(
+    r"^(uom|units?)|(uom|units?|datum)$|(vertical|altitude|height|limit|lower|upper).*ref"
+)
+UNITS_READ = (
+    "m",
+    "metre",
+    "metres",
+    "meter",
+    "meters",
+    "agl",
+    "sfc",
+    "gnd",
+    "ground",
+    "surface",
+    "abovegroundlevel",
+)
+ROLE = "no-fly"
+GEOZONE_SUFFIXES = (".json", ".geojson")
+GEOZONE = re.compile(
+    r'"(horizontalProjection|limitedApplicability|(lower|upper)Reference)"|"extent"\s*:\s*\{'
+)
+OPEN = "NO_RESTRICTION"  # a zone that informs, and closes nothing
+ON_APPROVAL = ("REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL")
+METRES = {"M": 1.0, "FT": 0.3048}
+CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wider
+WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
+MOST_M = 300_000.0  # radius of a circle whose edges are as good as straight in degrees
+MOST_NAMED = 3
+NO_LIMITS = (
+    "have limits that are not metres or feet above ground, and reach on to every altitude there"
+)
+NO_HOURS = (
+    "have days or hours, which are not read, and are closed from their first to their last time"
+)
+ALL_AROUND = (
+    "have edges of more than 180 degrees of longitude, and are closed all around the Earth (cut them at the "
+    "antimeridian)"
+)
+Json = Mapping[str, Any]
+Notes = dict[str, list[str]]  # names of zones, by the sentence that is true of them
+
+
+def read_zones(path: str | Path) -> tuple[Zone, ...]:
+    """Return the no-fly zones of a file: GeoJSON, KML, GeoPackage, Shapefile, FlatGeobuf, GeoParquet; ED-269, ED-318.
+
+    Of a vector file every layer (every folder of a KML file) is read; features that are not polygons are left out with
+    a warning. Floor and ceiling are the properties named in `FLOOR_NAMES` and `CEILING_NAMES`, metres above ground;
+    where several are filled, the lowest floor and the highest ceiling count, and where all are empty, the zone has
+    none. Other properties that sound like heights are ignored with a warning, and so are all heights of a zone one of
+    whose properties names another unit or another zero than the ground. Heights of corners are not read.
+
+    Of ED-269 and ED-318 zones of every restriction but ``NO_RESTRICTION`` are closed; those that hold on conditions or
+    until someone authorises a flight too, which a warning says. Circles become polygons around them. Limits above the
+    ground are read in metres and feet; one above the sea or the ellipsoid is none, since the ground's height is not
+    known here, so that the zone reaches on to every altitude at that end. A zone is in force from the first to the last
+    of its times, on every day and at every hour between them, and always where one cannot be read.
+
+    Outlines that cross themselves are repaired so that all they enclose is closed.
+
+    Raises:
+      InputError: a file that is missing, cannot be read, has no CRS or no zone that restricts flights, an outline that
+        cannot be read or has no area, or a floor or ceiling that is not a number, or the wrong way round.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{str(path)!r} is a folder: name each file of no-fly zones in it")
+    notes: Notes = defaultdict(list)  # filled by the readers
+    features = _geozones(path)
+    zones = (
+        _of_vector_file(path, notes)
+        if features is None
+        else _of_geozones(features, path.name, notes)
+    )
+
+    for sentence, names in notes.items():
+        labels = list(dict.fromkeys(map(repr, names)))
+        num = len(labels)
+        if num > MOST_NAMED:
+            labels[MOST_NAMED:] = ["..."]
+        _warn(f"zones of {path.name!r} that {sentence}: {num} ({', '.join(labels)})")
+    if not zones:
+        raise InputError(
+            f"the {ROLE} file {str(path)!r} holds no polygons that restrict flights: give another file"
+        )
+    return tuple(zones)
+
+
+def _warn(sentence: str) -> None:
+    """Warn of zones, or of what a file says of them, that are not read as they may be meant."""
+    warn(sentence, IgnoredZoneWarning)
+
+
+def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
+    """Return the zones of a file that GDAL or pyarrow reads, one for each feature that holds polygons.
+
+    Args:
+      path: of the file.
+      notes: gets the names of zones whose outlines are closed otherwise than they are drawn, see `_whole`.
+
+    Warns:
+      IgnoredZoneWarning: features that are not polygons, and properties of heights that are not read.
+
+    Raises:
+      InputError: a file that cannot be read, or a zone with an invalid corner, floor or ceiling.
+    """
+    file = path.name
+    zones: list[Zone] = []
+    num_others = 0
+    for frame in wings.open_layers(path, ROLE):
+        geometry = frame.geometry.name
+        num_others += sum(
+            shape is None or (shapely.get_dimensions(shapely.get_parts(shape)) != 2).any()
+            for shape in frame.geometry
+        )
+        areas = frame[shapely.get_dimensions(frame.geometry.to_numpy()) == 2]
+        _warn_of_ignored(areas.drop(columns=geometry), file)
+
+        # A zone for each row: its filled properties by plain name, its own name, outline and heights.
+        for row in areas.to_dict("records"):
+            shape = row.pop(geometry)
+            facts = {_plain(name): value for name, value in row.items() if not is_blank(value)}
+            names = (str(facts[name]).strip() for name in NAME_NAMES if name in facts)
+            name = next(names, f"polygon {len(zones) + 1}")
+            if not np.isfinite(shapely.get_coordinates(shape)).all():
+                raise InputError(
+                    f"the no-fly zone {name!r} of {file!r} has a corner that is not a number: mend it"
+                )
+            whole = _whole(shapely.force_2d(shape), name, notes, is_lonlat=areas.crs.is_geographic)
+            floor_m, ceiling_m = _heights(facts, f"{name!r} of {file!r}")
+            zones.append(Zone(name, whole, areas.crs.to_wkt(), floor_m, ceiling_m, file))
+    if zones and num_others:
+        _warn(
+            f"{num_others} feature(s) of {file!r} are not polygons and close nothing: draw them as polygons"
+        )
+    return zones
+
+
+def _plain(name: object) -> str:
+    """Return a property's name without case and separators."""
+    return re.sub(r"[_\-\s:.]", "", str(name)).lower()
+
+
+def _heights(facts: Json, label: str) -> tuple[float, float]:
+    """Return floor and ceiling of a polygon in metres above ground, infinite where it has none.
+
+    Of several floors the lowest counts, of several ceilings the highest. Where a property names another unit or another
+    zero than the ground, both are infinite, and a warning says so.
+
+    Args:
+      facts: its filled properties by plain name.
+      label: its name and file, for messages.
+
+    Raises:
+      InputError: a height that is not a number.
+    """
+    floors_m, ceilings_m = (
+        [
+            finite(f"{name} of the no-fly zone {label}", facts[_plain(name)], "metres above ground")
+            for name in names
+            if _plain(name) in facts
+        ]
+        for names in (FLOOR_NAMES, CEILING_NAMES)
+    )
+    units = [str(value) for name, value in facts.items() if UNIT_NAME.search(name)]
+    unread = [unit for unit in units if _plain(unit) not in UNITS_READ]
+    if unread and (floors_m or ceilings_m):
+        _warn(
+            f"{label} has heights in {unread[0]!r}, so it is closed at all altitudes: give metres above ground"
+        )
+        return -math.inf, math.inf
+    return min(floors_m, default=-math.inf), max(ceilings_m, default=math.inf)
+
+
+def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
+    """Warn of properties of the zones of a file that sound like heights, are filled in some row and are not read."""
+    read = {*map(_plain, FLOOR_NAMES), *map(_plain, CEILING_NAMES)}
+    ignored = []
+    for column in properties:
+        name = _plain(column)
+        is_height = any(word in name for word in HEIGHT_WORDS) and not UNIT_NAME.search(name)
+        if is_height and name not in read and not all(map(is_blank, properties[column])):
+            ignored.append(repr(column))
+    if ignored:
+        _warn(
+            f"{', '.join(ignored)} of {file!r} not read: floors and ceilings are {', '.join(FLOOR_NAMES)} "
+            f"and {', '.join(CEILING_NAMES)}, metres above ground, and a zone without is closed at all altitudes"
+        )
+
+
+def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone]:
+    """Return the zones of a file of ED-269 or ED-318: one for each volume of each feature that restricts flights.
+
+    Args:
+      features: as JSON holds them.
+      file: its name.
+      notes: gets the names of zones that are left out, or closed otherwise than the file may mean.
+
+    Raises:
+      InputError: an outline that cannot be read, or a limit that is not a number.
+    """
+    zones = []
+    for number, feature in enumerate(features, start=1):
+        facts = feature["properties"] if isinstance(feature.get("properties"), dict) else feature
+        name = _name(facts, number)
+        restriction = str(facts.get("restriction", facts.get("type", ""))).upper()
+        if restriction == OPEN:
+            notes["restrict nothing, and are left out"].append(name)
+            continue
+        if restriction in ON_APPROVAL:
+            notes["need an authorisation or hold on conditions, and are closed"].append(name)
+        start, end = _times(facts, name, notes)
+
+        # The volumes of the zone: limits and outline of each.
+        label = f"{name!r} of {file!r}"
+        try:
+            geometry = feature["geometry"]
+            if isinstance(geometry, list):  # ED-269
+                shapes = [{**part["horizontalProjection"], "layer": part} for part in geometry]
+            else:
+                is_whole = geometry["type"] != "GeometryCollection"
+                parts = [geometry] if is_whole else geometry["geometries"]
+                shapes = [{"layer": None, **part} for part in parts]
+            volumes = [(shape["layer"] or {}, _outline(shape)) for shape in shapes]
+        except BROKEN as error:
+            is_said = isinstance(error, ValueError)
+            why = str(error) if is_said else "a part is missing, or is of another kind"
+            raise InputError(
+                f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file"
+            ) from error
+
+        for layer, outline in volumes:
+            whole = _whole(outline, name, notes, is_lonlat=True)
+            floor_m, ceiling_m = _limits(layer, label, name, notes)
+            zones.append(Zone(name, whole, "EPSG:4326", floor_m, ceiling_m, file, start, end))
+    return zones
+
+
+def _geozones(path: Path) -> list[Json] | None:
+    """Return the features of a file of ED-269 or ED-318 as JSON holds them, None of any other file.
+
+    Such a file is known by its suffix and by the words that only these formats have; one that cannot be read is left to
+    the reader of vector files.
+    """
+    if path.suffix.lower() not in GEOZONE_SUFFIXES:
+        return None
+    try:
+        check_file(path)
+        text = path.read_text(encoding="utf-8-sig")
+        whole = json.loads(text) if GEOZONE.search(text) else {}
+        listed = whole.get("features", whole.get("UASZoneList"))
+    except (OSError, ValueError, RecursionError, AttributeError):
+        return None  # the reader of vector files says what is wrong with it
+    is_listed = isinstance(listed, list) and all(isinstance(each, dict) for each in listed)
+    return listed if is_listed else None
+
+
+def _name(facts: Json, number: int) -> str:
+    """Return a zone's name, else its identifier, else its number in the file.
+
+    In ED-318 the name is a list of objects with texts in several languages, of which the first counts.
+    """
+    name = facts.get("name")
+    if isinstance(name, list):
+        texts = (item.get("text") for item in name if isinstance(item, dict))
+        name = next(filter(None, texts), None)
+    return str(name or facts.get("identifier") or f"zone {number}").strip()
+
+
+def _outline(shape: Json) -> shapely.Geometry:
+    """Return the outline of a volume in longitude and latitude: polygons, or one around a circle.
+
+    The volume is a geometry of ED-318 with its ``layer``, or is made to be like one.
+
+    Raises:
+      An error of `BROKEN`: a part is missing, is of another kind or is no place on the Earth.
+    """
+    kind = str(shape["type"]).lower()
+    if kind == "circle":  # of ED-269
+        unit_m = METRES[str(shape["layer"]["uomDimensions"]).upper()]
+        return _circle(shape["center"], float(shape["radius"]) * unit_m)
+    if kind == "point":
+        # In metres, whatever the unit of its layer.
+        return _circle(shape["coordinates"], float(shape["extent"]["radius"]))
+    polygons = shape["coordinates"] if kind == "multipolygon" else [shape["coordinates"]]
+    parts = []
+    for polygon in polygons:
+        shell, *holes = [list(map(_place, ring)) for ring in polygon]
+        parts.append(shapely.Polygon(shell, holes))
+    return shapely.union_all(parts)
+
+
+def _place(corner: Sequence[Any]) -> tuple[float, float]:
+    """Return longitude and latitude.
+
+    Raises:
+      ValueError: they are none.
+    """
+    lon = float(corner[0])
+    lat = float(corner[1])
+    if not (-180 <= lon <= 180 and -90 <= lat <= 90):
+        raise ValueError(f"{lon:g}, {lat:g} is no longitude and latitude")
+    return lon, lat
+
+
+def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
+    """Return a polygon in longitude and latitude that holds all of a circle; its longitudes may pass 180 degrees.
+
+    The edges touch a circle that is wider by `WIDER`, as they are straight in degrees and the Earth is not.
+
+    Args:
+      centre: longitude and latitude in degrees.
+      radius_m: up to `MOST_M`.
+
+    Raises:
+      ValueError: another radius, no place, or a pole too near.
+    """
+    lon, lat = _place(centre)
+    if not 0 < radius_m <= MOST_M or abs(lat) > 85:
+        raise ValueError(
+            f"a circle of {radius_m:g} m around {lon:g}, {lat:g}: at most {MOST_M:g} m, not at a pole"
+        )
+    azimuth_deg = np.arange(CORNERS) * (360 / CORNERS)
+    away_m = np.full(CORNERS, radius_m * (1 + WIDER) / math.cos(math.pi / CORNERS))
+    lons, lats, _ = GEOD.fwd(np.full(CORNERS, lon), np.full(CORNERS, lat), azimuth_deg, away_m)
+    # In one piece where it lies across the antimeridian.
+    around = lon + (lons - lon + 180) % 360 - 180
+    return shapely.Polygon(np.column_stack([around, lats]))
+
+
+def _limits(layer: Json, label: str, name: str, notes: Notes) -> tuple[float, float]:
+    """Return floor and ceiling of a volume in metres above ground, infinite where it has none that can be used.
+
+    Args:
+      layer: the limits, under the keys of ED-269 or ED-318.
+      label: name and file of the zone, for messages.
+      name: of the zone.
+      notes: gets the name where a limit is not above ground, or in an unknown unit.
+
+    Raises:
+      InputError: a limit above ground that is not a number.
+    """
+    unit_m = METRES.get(str(layer.get("uomDimensions", layer.get("uom", ""))).upper())
+    limits_m = {"lower": -math.inf, "upper": math.inf}
+    for end in limits_m:
+        value = layer.get(f"{end}Limit", layer.get(end))
+        zero = str(layer.get(f"{end}VerticalReference", layer.get(f"{end}Reference"))).upper()
+        if value is None:
+            continue
+        if zero != "AGL" or unit_m is None:
+            notes[NO_LIMITS].append(name)
+            continue
+        what = f"the {end} limit of the no-fly zone {label}"
+        limits_m[end] = finite(what, value, "metres or feet") * unit_m
+    return limits_m["lower"], limits_m["upper"]
+
+
+def _times(facts: Json, name: str, notes: Notes) -> tuple[datetime | None, datetime | None]:
+    """Return the first and the last time at which a zone is in force, None for an end that is open.
+
+    Both are None where a period is permanent, where there is no period, and where a time cannot be read.
+
+    Args:
+      facts: of the zone, under the keys of ED-269 or ED-318.
+      name: of the zone.
+      notes: gets the name where times cannot be read, or periods have days or hours.
+    """
+    periods = facts.get("applicability", facts.get("limitedApplicability")) or []
+    try:
+        permanent = [str(period.get("permanent")).upper() for period in periods]
+        if not periods or "YES" in permanent:
+            return None, None
+        starts = [_time(period.get("startDateTime")) for period in periods]
+        ends = [_time(period.get("endDateTime")) for period in periods]
+    except BROKEN:
+        notes["have times that cannot be read, and are taken to be in force always"].append(name)
+        return None, None
+    if any(period.get("schedule") for period in periods):
+        notes[NO_HOURS].append(name)
+    start = None if None in starts else min(filter(None, starts))
+    end = None if None in ends else max(filter(None, ends))
+    return start, end
+
+
+def _time(text: str | None) -> datetime | None:
+    """Return the date and time that a text of ISO 8601 names, None without a text.
+
+    Raises:
+      ValueError: it is no date and time, or has no offset from UTC.
+    """
+    if not text:
+        return None
+    moment = datetime.fromisoformat(text)
+    if moment.tzinfo is None:
+        raise ValueError("no offset")
+    return moment
+
+
+def _whole(
+    shape: shapely.Geometry, name: str, notes: Notes, *, is_lonlat: bool
+) -> shapely.Geometry:
+    """Return valid polygons that close all that the outline of a zone may mean.
+
+    A file may mean by an edge from 179.9 to -179.9 degrees what lies between them across the antimeridian, or all the
+    rest of the way round: such a zone is closed all around the Earth. An edge that goes all the way round has but one
+    meaning.
+
+    Args:
+      shape: the outline.
+      name: of the zone.
+      notes: gets the name where more is closed than the outline draws.
+      is_lonlat: whether coordinates are longitude and latitude in degrees.
+    """
+    # Outlines that cross themselves.
+    if not shape.is_valid or shape.geom_type not in ("Polygon", "MultiPolygon"):
+        polygons = made_valid(shape)
+        if not shape.is_valid and not polygons.is_empty:
+            notes["have outlines that cross themselves, and close all that these enclose"].append(
+                name
+            )
+        shape = polygons
+
+    # Edges that may lie across the antimeridian: how many degrees of longitude each edge of an outer ring spans.
+    rings = [shapely.get_coordinates(part.exterior)[:, 0] for part in shapely.get_parts(shape)]
+    spans = np.concatenate([np.abs(np.diff(lon)) for lon in rings] or [[]])
+    if is_lonlat and np.any((spans > TURN / 2) & (spans < TURN)):
+        notes[ALL_AROUND].append(name)
+        _, south, _, north = shape.bounds
+        shape = shapely.box(-TURN / 2, south, TURN / 2, north)
+    return shape

@@ -1,0 +1,1 @@
+"""Planned paths as files for other programs."""

@@ -1,0 +1,117 @@
+"""What is written is judged first: a mission that would meet a roof, the ground or a zone is refused."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.flights.contacts import buildings_of
+from jaxurban.flights.judge import judged
+from jaxurban.flights.legs import flight_of
+from jaxurban.flights.missions.items import read_plan
+from jaxurban.io.city import City
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.sources import left_out, standing_on
+from jaxurban.paths.closed import constraints_of
+from jaxurban.paths.elevation import Elevation
+from jaxurban.paths.path import PlannedPath
+
+NO_MAPS = "It was not checked, as the path has no maps."
+UNSURE = "may meet what is of unknown height as it takes off or lands"
+ANOTHER_PLAN = "plan it again with greater clearances, or save it as .kml, .gpx or .geojson"
+MOVE = "let it be moved there by --snap without --ends-in-air (snap=True, on_ground=True)"
+FROM_ROOF = (
+    ", or pass from_roof=True (--mission from_roof=true) if the flight starts from that roof"
+)
+
+
+def check_own(route: PlannedPath, data: bytes) -> str:
+    """Return a sentence on how a mission was judged that is about to be written.
+
+    The cells that roofs touch are looked at first, as they hold every outline. Exact outlines, from the files of the
+    maps, decide where these find anything, or where the ground of the cells is not that of the terrain's file.
+
+    Args:
+      route: the path, whose own constraints count.
+      data: the bytes of its ``.plan``.
+
+    Raises:
+      InputError: the mission meets an obstacle, the ground, a zone or a closed cell, or takes off or lands through what
+        is of unknown height: says where, and what to do.
+    """
+    maps = route.maps
+    if maps is None:
+        return NO_MAPS
+    way = f"cells of {maps.grid.resolution_m:g} m"
+    city = None
+    findings = _findings(route, maps, data, None)
+    if len(findings) or not Elevation(maps, None).is_exact:
+        standing = standing_on(maps)
+        city = standing.city
+        if city is not None:
+            findings = _findings(route, maps, data, city)
+            way = standing.outlines
+    if not len(findings):
+        verdict = f"Checked by {way} before it was written: it meets no obstacle, ground or zone."
+        return f"{verdict} {left_out(maps, city)}".rstrip()
+    first = findings.iloc[0]
+    raise InputError(
+        f"the mission is not written, as its own check ({way}) finds that it {first['what']}, from "
+        f"{first['along_m']:.0f} to {first['to_m']:.0f} m along it: {_remedy(route, maps, first)}"
+    )
+
+
+def _findings(route: PlannedPath, maps: MetricMaps, data: bytes, city: City | None) -> pd.DataFrame:
+    """Return the findings of a mission over maps (`judged`), and where it may meet something on its way up or down.
+
+    Without a city the maps' cells stand.
+    """
+    mission = read_plan(data, "the mission", None, math.nan)
+    flight = flight_of(mission, Elevation(maps, city))
+    known = shapely.box(*maps.grid.bounds_m)  # what lies beyond is no finding
+    times, time_of_day = [route.settings.get("time")], route.settings.get("time_of_day")
+    buildings = buildings_of(maps, city)
+    limits = constraints_of(route)
+    limits = replace(limits, zones=(*limits.zones, *mission.zones))
+    findings, unknown = judged(flight, buildings, known, limits, times, time_of_day)
+    is_guess = unknown["kind"] == "roof"
+    site_m = flight.steps.along_m[flight.is_on_site(flight.steps)]
+    rows = unknown[is_guess].rename(columns={"from_m": "along_m"}).assign(what=UNSURE)
+    is_met = [
+        ((site_m[:, 0] < row.to_m) & (row.along_m < site_m[:, 1])).any()
+        for row in rows.itertuples()
+    ]
+    return pd.concat([findings, rows[is_met]]) if any(is_met) else findings
+
+
+def _remedy(route: PlannedPath, maps: MetricMaps, finding: pd.Series) -> str:
+    """Return what to do about a finding: where the mission may take off or land instead, or to plan otherwise.
+
+    Args:
+      route: the path.
+      maps: that it was planned on.
+      finding: at the start, at the goal or between them; the nearer end is looked at.
+    """
+    grid = maps.grid
+    is_start = bool(finding["along_m"] < route.length_m / 2)
+    name, act, place = ("start", "take off", 0) if is_start else ("goal", "land", -1)
+    xy_m = route.xy_m[place]
+    is_free = constraints_of(route).is_free_to_ground(
+        maps,
+        float(route.z_m[place]),
+        time=route.settings.get("time"),
+        time_of_day=route.settings.get("time_of_day"),
+    )
+    if is_free[grid.cell_of_xy(*xy_m)] or not is_free.any():
+        return ANOTHER_PLAN
+    cells = np.argwhere(is_free)
+    away_m = np.hypot(*np.subtract(grid.xy_of_cell(*cells.T), xy_m[:, None]))
+    nearest = int(np.argmin(away_m))
+    lon, lat = grid.lonlat_of_cell(*cells[nearest])
+    return (
+        f"the nearest place to {act} is {lon:.6f},{lat:.6f}, {away_m[nearest]:.0f} m from the {name}: "
+        f"name it, or {MOVE}{FROM_ROOF * is_start}"
+    )

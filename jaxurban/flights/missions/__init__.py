@@ -1,0 +1,1 @@
+"""Missions that other tools made, as legs."""

@@ -1,0 +1,186 @@
+"""Missions that other tools made, as legs whose heights name what they are above.
+
+| file | what is read | heights are above |
+|---|---|---|
+| ``.plan`` of QGroundControl, version 1 | items, surveys'; home | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
+| ``.waypoints``, ``.txt``: ``QGC WPL 110`` | rows; row 0 is home where it is a waypoint | as in a ``.plan`` |
+| ``.mavlink``, Parrot's ``QGC WPL 120`` | the same; row 0 is home where it is above the sea | as in a ``.plan`` |
+| ``.kml`` | LineString, Track | relativeToGround: ground; absolute: geoid (EGM96); else they are asked for |
+| ``.gpx`` | routes, tracks | asked for; in jaxurban's own geoid (``ele``), or ground where it has none |
+| ``.geojson``, ``.json`` | LineString, MultiLineString | asked for; ground in jaxurban's own |
+| ``.csv`` | rows of lon, lat, altitude_m (or height_m, alt) | asked for; AirData: home; Litchi: its modes |
+| ``.kmz``, ``.wpml`` | waylines of DJI, or a KML | relativeToStartPoint: home; WGS84: ellipsoid |
+| ``.ulg`` of PX4 | fixes of the receiver | geoid |
+
+The geofence of a ``.plan`` is read too, as zones. Whatever else has a position is counted and not judged. Places are in
+WGS 84; a file that names another CRS or datum is refused, and so is one that gives a quantity twice with different
+values (`one_value`).
+
+| command of MAVLink | how it is flown |
+|---|---|
+| take-off 22, 24, 84 | straight up from home, or from the last landing; on to its own place (not by ArduPilot) |
+| waypoint 16 | straight to it; latitude and longitude 0 or NaN: where the vehicle is; height NaN: that which it has |
+| loiter 17, 18, 19, 31 | straight to it, then a circle of its radius; hovering where it has none |
+| land 21, 85 | level to its place, then down to the ground |
+| return 20 | straight home at the return altitude, if one is given, and down; else at an open height |
+| jump 177 | straight to its target, once |
+| loiter 17, a jump for ever, and what does not go on by itself (but ArduPilot) | no end: what follows is not judged |
+| set home 179 | heights above home are open after it, and a return is not judged |
+| delays, conditions, speeds, cameras, servos, regions of interest | nothing |
+| splines 82, surveys without items, other complex items, all others | not judged, nor is the way to the next item |
+
+Places of MAVLink's parameters 5 to 7: https://mavlink.io/en/messages/common.html; the files:
+https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html and
+https://mavlink.io/en/file_formats/#mission_plain_text_file.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+
+from jaxurban.checks import finite, one_of, positive
+from jaxurban.errors import InputError, readable
+from jaxurban.flights.missions.dji import read_wpml, unzipped
+from jaxurban.flights.missions.items import read_plan, read_waypoints
+from jaxurban.flights.missions.lines import (
+    INAV,
+    csv_lines,
+    geojson_lines,
+    mission_of_lines,
+    xml_lines,
+)
+from jaxurban.flights.missions.parts import (
+    DATUMS,
+    DamagedError,
+    Datum,
+    LonLat,
+    Mission,
+    check_place,
+)
+from jaxurban.flights.ulog import ulog_lines
+from jaxurban.io.broken import BROKEN
+from jaxurban.io.files import UNPACKING
+from jaxurban.io.tracks import LAT, LON, UTC, track_of
+
+ITEM_READERS = {
+    ".plan": read_plan,
+    ".waypoints": read_waypoints,
+    ".txt": read_waypoints,
+    ".mavlink": read_waypoints,
+}
+LINE_READERS = {
+    ".kml": xml_lines,
+    ".gpx": xml_lines,
+    ".geojson": geojson_lines,
+    ".json": geojson_lines,
+    ".csv": csv_lines,
+    ".ulg": ulog_lines,
+}
+SUFFIXES = (*ITEM_READERS, ".kmz", ".wpml", *LINE_READERS)
+# Files that are not read, and what makes one of them that is.
+OTHERS = dict.fromkeys(
+    (".bin", ".log", ".tlog"),
+    "a log of ArduPilot: make GPX of it with `TZ=UTC mavtogpx.py FILE` of pymavlink",
+)
+OTHERS[".mission"] = INAV
+MOST_BYTES = 2**24  # some 20,000 items of a .plan
+
+
+def read_mission(
+    path: str | Path,
+    *,
+    heights: Datum | None = None,
+    home: LonLat | None = None,
+    return_altitude_m: float | None = None,
+) -> Mission:
+    """Return the mission of a file: its legs, and what of it is not judged.
+
+    Args:
+      path: of the file; its suffix, one of `SUFFIXES`, names the format.
+      heights: what heights are above, where the file does not say it; ``"ellipsoid"`` also in place of the geoid that
+        absolute heights in KML are above.
+      home: longitude and latitude in degrees, in place of the file's.
+      return_altitude_m: metres above home at which the autopilot returns; left out, it is not known.
+
+    Raises:
+      InputError: no such file, another format, a file of more than `MOST_BYTES`, a mission that is damaged, empty or
+        leads nowhere, a place that is not on the Earth, an invalid argument, or heights of which neither the file nor
+        ``heights`` says what they are above, or of which both say it.
+    """
+    path = Path(path)
+    if heights is not None:
+        one_of("heights", heights, DATUMS)
+    if home is not None:
+        try:
+            lon, lat = (finite("home", degrees, "degrees") for degrees in home)
+            check_place("home", lon, lat)
+        except ValueError as error:
+            raise InputError(
+                f"home must be longitude and latitude in degrees, got {home}"
+            ) from error
+        home = (lon, lat)
+    return_m = math.nan
+    if return_altitude_m is not None:
+        return_m = positive("return_altitude_m", return_altitude_m)
+
+    with _opened(path, SUFFIXES) as (suffix, data):
+        template = b""
+        if suffix == ".kmz":
+            suffix, data, template = unzipped(data)
+        if suffix in LINE_READERS:
+            lines = mission_of_lines(path.name, *LINE_READERS[suffix](path, data), heights, home)
+            return replace(lines, return_altitude_m=return_m)
+        if heights is not None:
+            raise InputError(
+                f"{path.name!r} says for each item what its height is above: leave heights={heights!r} out"
+            )
+        if suffix == ".wpml":
+            return read_wpml(data, template, path.name, home, return_m)
+        return ITEM_READERS[suffix](data, path.name, home, return_m)
+
+
+def read_flight(path: str | Path) -> pd.DataFrame:
+    """Return ``utc``, ``lon_deg`` and ``lat_deg`` of a flight with times: GPX, Track of KML, ULog.
+
+    Raises:
+      InputError: as of `read_mission`, or a point without a time.
+    """
+    path = Path(path)
+    with _opened(path, LINE_READERS) as (suffix, data):
+        shapes, _ = LINE_READERS[suffix](path, data)
+        rows = [
+            (time, *point[:2])
+            for shape in shapes
+            if any(shape.times)
+            for time, point in zip(shape.times, shape.points, strict=True)
+        ]
+    if not rows:
+        raise InputError(f"{str(path)!r} holds no times: give the speed of the flight (--speed)")
+    return track_of(pd.DataFrame(rows, columns=[UTC, LON, LAT]), f"the track {str(path)!r}")
+
+
+@contextmanager
+def _opened(path: Path, suffixes: Iterable[str]) -> Iterator[tuple[str, bytes]]:
+    """Yield the suffix of a mission's file, one of ``suffixes``, and its bytes, and name it in errors."""
+    suffix = path.suffix.lower()
+    if suffix in OTHERS:
+        raise InputError(f"{path.name!r} is {OTHERS[suffix]}")
+    if suffix not in suffixes:
+        raise InputError(
+            f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(suffixes)}"
+        )
+    with readable(path, "a mission", "save it again in the tool that made it"):
+        if path.stat().st_size > MOST_BYTES and suffix != ".ulg":
+            raise InputError(
+                f"{str(path)!r} holds more than 16 MB, which no mission does: name another file"
+            )
+        try:
+            yield suffix, path.read_bytes()
+        except (InputError, DamagedError):
+            raise
+        except (*BROKEN, *UNPACKING) as error:
+            raise DamagedError("it is damaged, or a part is missing or of another kind") from error

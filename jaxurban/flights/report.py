@@ -1,0 +1,168 @@
+"""What a check of a mission writes: report.md, findings as a table and as GeoJSON, a map and a profile."""
+
+import json
+from functools import partial
+from itertools import compress
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import shapely
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from jaxurban.flights.check_result import MissionCheck
+from jaxurban.knowledge import names_of
+from jaxurban.metrics.variables import BUILT_COLOUR
+from jaxurban.paths.constraints import describe_constraints
+from jaxurban.paths.route_report import TOUCHED
+from jaxurban.report.figures import frame
+from jaxurban.report.figures.metrics import roof_layers
+from jaxurban.report.figures.profile import ALTITUDE_COLOUR
+from jaxurban.report.figures.style import chart, dress, label_apart, legend_above, styled
+from jaxurban.report.write import (
+    Figures,
+    Look,
+    Markdown,
+    Written,
+    bullets,
+    fill,
+    plain,
+    study_outputs,
+)
+
+FOUND_COLOUR, STREET_COLOUR = "#d00000", "#9a9a9a"
+STREETS = ("street", "major")
+NUMBER: Look = frame.HALO | {"color": FOUND_COLOUR, "zorder": 21}  # over the ends of the mission
+FOUND: Look = NUMBER | {"marker": "x", "linestyle": "none", "label": "findings, by number"}
+MISSION: Look = frame.HALO | {"color": ALTITUDE_COLOUR, "label": "mission", "zorder": 4}
+HOME: Look = frame.END_LOOK | {"marker": "p", "markersize": 14.0, "label": "home"}
+ZONE: Look = {"facecolor": "none", "edgecolor": FOUND_COLOUR, "hatch": "////"}
+LEGEND: tuple[Artist, ...] = (  # in the order of `is_drawn`
+    Line2D([], [], **MISSION),
+    Line2D([], [], **HOME),
+    *frame.ENDS,
+    Line2D([], [], **FOUND),
+    Patch(label="no-fly zone", **ZONE),
+    Patch(label="height guessed", color=frame.GUESSED_ROOF_COLOUR),
+)
+MARGIN, LEAST_CELLS = 0.15, 30  # around the mission, of its longer side; from its middle to a side
+GAP_M = 10.0  # between steps, which are shorter: nothing is drawn there
+HEIGHT_IN = 3.4
+
+
+def check_outputs(result: MissionCheck) -> Written:
+    """Return what a check writes, by file name, and the record that identifies it.
+
+    A mission without a step over the maps has no figures.
+    """
+    figures: Figures = {}
+    if len(result.flight.steps.leg):
+        figures["map"] = partial(plot_mission, result)
+        figures["profile"] = partial(plot_flown_heights, result)
+    report = check_markdown(result, list(figures))
+    record = result.to_dict()
+    tables = {"findings": result.findings, "return_altitudes": result.return_altitudes}
+    return {
+        "findings.geojson": json.dumps(result.to_geojson(), indent=1),
+        "check.json": json.dumps(record, indent=1),
+        **study_outputs(report, tables, figures),
+    }, record
+
+
+def check_markdown(result: MissionCheck, figures: list[str]) -> str:
+    """Return the report as Markdown; ``figures`` are the names of the pictures that lie beside it."""
+    findings = [f"{number}. {plain(text)}" for number, text in enumerate(result.sentences, 1)]
+    return fill(
+        "flights/templates/check",
+        {},
+        figures,
+        [result.maps.attribution],
+        result=result,
+        findings=Markdown("\n".join(findings) or "None."),
+        not_judged=bullets(result.not_judged) or "All of it was judged.",
+        numbers=bullets(f"{name}: {fact}" for name, fact in result.numbers.items()),
+        note=result.figures.get("cost_note", ""),
+        returns=bullets(result.return_lines) or "No item, or no home, to return from.",
+        limits=describe_constraints(result.limits) or "none",
+        guesses=names_of(result.maps.guesses) or "nothing",
+    )
+
+
+@styled
+def plot_mission(result: MissionCheck) -> Figure:
+    """Return the mission over roofs, streets and zones, as far as the maps hold it, and its findings by number."""
+    # The part of the maps around the mission, a square with a margin as far as the maps reach.
+    maps = result.maps
+    flight = result.flight
+    whole = maps.grid
+    corners_m = flight.lines_m.reshape(-1, 2)
+    cells = ((corners_m - whole.bounds_m[:2]) / whole.resolution_m).astype(int)  # column, row
+    low, high = cells.min(axis=0), cells.max(axis=0)
+    half = max(LEAST_CELLS, int((0.5 + MARGIN) * (high - low).max()))
+    middle = (low + high) // 2
+    west, south = np.minimum(half - middle, 0).tolist()  # how many cells are cut off
+    east, north = np.minimum(middle + half - whole.shape[::-1], 0).tolist()
+    grid = whole.padded(west, south, east, north)
+
+    # The roofs there, and what the legend names.
+    layers = roof_layers(maps)
+    colours = layers[-1].colours
+    has_guessed = "roof_guessed" in maps.ds
+    if has_guessed:
+        is_guessed = maps.m("roof_guessed") & (layers[-1].values > 0)
+        layers.append(frame.flat_layer(is_guessed, frame.GUESSED_ROOF_COLOUR))
+    window = grid.window_in(whole)
+    shown = [layer._replace(values=layer.values[window]) for layer in layers]
+    found = result.findings
+    is_drawn = True, flight.mission.home, True, True, len(found), result.zones, has_guessed
+    legend = [*compress(LEGEND, is_drawn)]
+    panel = frame.MapPanel(f"Roof height (m), {flight.mission.name}", shown)
+    note = frame.frame_note(maps)
+    figure, (axes,) = frame.draw_maps(
+        grid, [panel], result.sentence, note, legend=legend, colours=colours
+    )
+
+    # Over them streets, zones, the mission with its home and ends, and the findings.
+    if maps.base_map is not None:
+        for kind, lines in maps.base_map.to_crs(grid.crs).groupby("kind"):
+            if kind in STREETS:
+                lines.plot(ax=axes, aspect=None, color=STREET_COLOUR, linewidth=0.5)
+    for part in shapely.get_parts([zone.on(grid) for zone in result.zones]):
+        gpd.GeoSeries([part]).plot(ax=axes, aspect=None, **ZONE)
+    line_m = np.pad(flight.lines_m, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
+    axes.plot(*line_m.reshape(-1, 2).T, **MISSION)
+    if flight.mission.home:
+        axes.plot(*grid.xy_of_lonlat(*flight.mission.home), **HOME)
+    frame.mark_ends(axes, flight.lines_m[0, 0], flight.lines_m[-1, 1])
+    _mark(axes, *grid.xy_at(found[["lon", "lat"]].to_numpy(float)).T)
+    return figure
+
+
+@styled
+def plot_flown_heights(result: MissionCheck) -> Figure:
+    """Return the height above the ground along the mission, the roofs of the cells below, and the findings."""
+    steps = result.flight.steps
+    along_m = steps.along_m[:, 0]  # at the start of each step
+    # In a gap between steps the mission has left the maps, where neither it nor a roof is drawn.
+    is_before_gap = np.append(np.diff(along_m) > GAP_M, False)
+    figure = chart(HEIGHT_IN, "Height along the mission", result.sentence)
+    axes = figure.subplots()
+    roof_m = np.where(is_before_gap, np.nan, result.maps.m(TOUCHED)[tuple(steps.cell.T)])
+    axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
+    axes.plot(along_m, np.where(is_before_gap, np.nan, steps.z_m[:, 0]), **MISSION)
+    axes.set(xlabel="flown (m)", ylabel="height above\nground (m)")
+    dress(axes)
+    found = result.findings
+    _mark(axes, found["along_m"], found["height_m"])
+    legend_above(axes)
+    return figure
+
+
+def _mark(axes: Axes, x: Any, y: Any) -> None:
+    """Mark findings at ``x`` and ``y``, and write their numbers, from 1, beside them; the limits of the axes stay."""
+    axes.plot(x, y, **FOUND)
+    label_apart(axes, map(str, range(1, len(x) + 1)), np.column_stack([x, y]), **NUMBER)

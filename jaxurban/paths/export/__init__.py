@@ -1,1 +1,0 @@
-"""Planned paths as files for other programs: GeoJSON, KML, GPX, QGroundControl plan."""

@@ -1,0 +1,169 @@
+"""What clears a finding does: flown at the height named, or moved as named, nothing is found, by points every 20 cm."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban.flights.missions.parts import Leg, Mission, Place
+from jaxurban.io.city import City
+from jaxurban.world.footprints import Footprints, HeightOrigin
+from tests.flights.test_check import (
+    CLEARANCE_M,
+    OFF,
+    ON,
+    checked,
+    random_mission,
+    truth_of,
+)
+from tests.flights.test_check import scene as scene
+from tests.made_maps import made_maps
+
+TOP_M, WEST_M, EAST_M = 90.0, 280.0, 320.0
+
+
+def tower() -> tuple[ju.MetricMaps, City]:
+    """Return maps of 600 m and their city: one tower of 90 m, from 280 to 320 m both ways."""
+    maps = made_maps(60, 60, (0.5, 400.0))
+    corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
+    outline = shapely.box(*(corner_m + WEST_M), *(corner_m + EAST_M))
+    kinds = np.array([HeightOrigin.HEIGHT], np.uint8)
+    building = Footprints(
+        np.array([outline]), np.array([TOP_M]), np.zeros(1), kinds, np.zeros(1, bool)
+    )
+    return maps, City(maps.grid.crs, (*corner_m, *(corner_m + 600.0)), building)
+
+
+def place(maps: ju.MetricMaps, x_m: float, y_m: float, height_m: float) -> Place:
+    lon, lat = maps.grid.lonlat_of_xy(maps.grid.x_min_m + x_m, maps.grid.y_min_m + y_m)
+    return Place(float(lon), float(lat), height_m, "ground")
+
+
+def flown(maps, city, *places: Place, **more) -> ju.MissionCheck:
+    """Return the check of a mission through places."""
+    legs = tuple(Leg(*pair, "leg", number) for number, pair in enumerate(pairwise(places), 1))
+    mission = Mission("made", legs, places[0][:2], None, (), None)
+    return ju.check(maps, mission, sources=city, clearance_m=4.0, **more)
+
+
+@pytest.mark.parametrize(("x_m", "right_m"), [(305.0, 19.0), (295.0, -19.0), (319.0, 5.0)])
+def test_a_tower_is_cleared_over_its_roof_or_past_its_nearer_wall(x_m, right_m):
+    maps, city = tower()
+    result = flown(maps, city, place(maps, x_m, 200, 60), place(maps, x_m, 400, 60))
+    (row,) = result.findings.to_dict("records")
+    assert row["clear_m"] == TOP_M + 3.0
+    assert abs(right_m) <= abs(row["aside_m"]) <= abs(right_m) + 1
+    assert np.sign(row["aside_m"]) == np.sign(right_m)
+    (sentence,) = result.sentences
+    side = "right" if right_m > 0 else "left"
+    assert sentence.endswith(
+        f"It is clear at 93 m above the ground or {abs(row['aside_m']):.0f} m to the {side}."
+    )
+    assert result.to_dict()["findings"][0]["clear_m"] == 93.0
+
+
+def test_no_height_above_the_ceiling_is_named():
+    maps, city = tower()
+    ends = place(maps, 305, 200, 60), place(maps, 305, 400, 60)
+    assert flown(maps, city, *ends, ceiling_m=93).findings["clear_m"].tolist() == [93.0]
+    result = flown(maps, city, *ends, ceiling_m=92)
+    assert np.isnan(result.findings["clear_m"]).all()
+    assert result.sentences[0].endswith(" It is clear 20 m to the right.")
+    with pytest.raises(ju.InputError, match="ceiling_m must be 0 or a positive number"):
+        flown(maps, city, *ends, ceiling_m=-1)
+
+
+def test_a_take_off_through_a_roof_has_no_way_out():
+    maps, city = tower()
+    ground = place(maps, 310, 300, 0)
+    climb = Leg(ground, ground._replace(height_m=150.0), "climb", 1)
+    mission = Mission("made", (climb,), ground[:2], None, (), None)
+    result = ju.check(maps, mission, sources=city)
+    assert result.findings["kind"].tolist() == ["building"]
+    assert result.findings[["clear_m", "aside_m"]].isna().all(axis=None)
+    assert "clear" not in result.sentences[0]
+
+
+def test_what_nothing_bounds_is_no_way_out_though_it_is_guessed_lower_than_the_flight():
+    maps, city = tower()
+    guessed = replace(
+        city.buildings,
+        polygons=np.array([shapely.affinity.translate(city.buildings.polygons[0], 40.0)]),
+        height_m=np.array([20.0]),
+        origin=np.array([HeightOrigin.DEFAULT], np.uint8),
+        limit_m=np.array([math.inf]),
+    )
+    both = replace(city, buildings=city.buildings.joined(guessed))
+    ends = place(maps, 305, 200, 60), place(maps, 305, 400, 60)
+    assert flown(maps, city, *ends).findings["aside_m"].tolist() == [20.0]
+    assert flown(maps, both, *ends).findings["aside_m"].tolist() == [-30.0]
+
+
+def test_limits_and_closed_cells_have_no_way_out():
+    maps, city = tower()
+    ends = place(maps, 100, 200, 60), place(maps, 100, 400, 60)
+    bounds = ju.Constraints.read(require="gps>=1").bounds
+    result = flown(maps, city, *ends, constraints=ju.Constraints(bounds=bounds))
+    assert set(result.findings["kind"]) == {"closed"}
+    assert result.findings[["clear_m", "aside_m"]].isna().all(axis=None)
+    assert "clear" not in result.sentences[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_flat", [True, False])
+def test_parts_that_are_flown_as_named_meet_nothing(scene, is_flat):
+    if is_flat:
+        ds = scene.maps.ds
+        maps = replace(scene.maps, ds=ds.assign(terrain=0 * ds["terrain"]))
+        level = replace(scene.city.terrain, values=0 * scene.city.terrain.values)
+        scene = scene._replace(maps=maps, city=replace(scene.city, terrain=level))
+    rng = np.random.default_rng(11)
+    num_heights = num_sides = 0
+    while min(num_heights, num_sides) < 3:
+        mission, time = random_mission(scene, rng), str(rng.choice([ON, OFF]))
+        if any(leg.end.datum != "ground" for leg in mission.legs):
+            mission = replace(
+                mission,
+                legs=tuple(
+                    leg._replace(
+                        start=leg.start._replace(datum="ground"),
+                        end=leg.end._replace(datum="ground"),
+                    )
+                    for leg in mission.legs
+                ),
+            )
+        result = checked(scene, mission, CLEARANCE_M, time)
+        for row in result.findings.to_dict("records"):
+            for steps in (result.flight.steps, result.flight.variants):
+                is_there = (steps.along_m >= row["along_m"]) & (steps.along_m <= row["to_m"])
+                part = steps.take(is_there.all(axis=1))
+                if len(part.leg):
+                    break
+            xy_m = np.vstack([part.ends_m[:, 0], part.ends_m[-1:, 1]]) - scene.corner_m
+            own_m = (part.z_m + part.ground_m).min()
+            tries = []
+            if not math.isnan(row["clear_m"]):
+                num_heights += 1
+                tries.append((xy_m, np.full(len(xy_m), row["clear_m"])))
+            if not math.isnan(row["aside_m"]):
+                num_sides += 1
+                moved = shapely.LineString(xy_m).parallel_offset(
+                    abs(row["aside_m"]), "left" if row["aside_m"] < 0 else "right"
+                )
+                moved_m = shapely.get_coordinates(moved.segmentize(1.0))
+                tries.append((moved_m, own_m - scene.ground_m(*moved_m.T)))
+            for there_m, z_m in tries:
+                places = [
+                    scene.place(*each, float(up_m)) for each, up_m in zip(there_m, z_m, strict=True)
+                ]
+                legs = [Leg(*pair, "leg", 1, turn_m=0.0) for pair in pairwise(places)]
+                tried = Mission("tried", tuple(legs), places[0][:2], None, (), None)
+                again = checked(scene, tried, CLEARANCE_M, time)
+                assert again.findings.empty, (row, again.sentences)
+                truth = truth_of(scene, tried, CLEARANCE_M - 0.05, time)
+                assert not (truth.hit | truth.buried | truth.in_zone).any(), row
+                assert truth.slack_m[0] > -0.05, row
