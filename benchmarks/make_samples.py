@@ -36,7 +36,7 @@ from jaxurban.io.samples import (
     STRUCTURES_FILE,
 )
 from jaxurban.metrics.population import Population
-from jaxurban.studies.receiver.logs import read_receiver_log
+from jaxurban.receivers.validation.logs import read_receiver_log
 from jaxurban.world.grid import WGS84, Bounds, box_of, transformer, utm_of
 
 STEP_DEG = 1e-6  # of coordinates, about 0.1 m

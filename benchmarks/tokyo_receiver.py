@@ -28,9 +28,9 @@ from benchmarks.receiver.counts import (
 from benchmarks.receiver.evidence import Evidence, evidence_of
 from jaxurban.errors import StaleElementsWarning
 from jaxurban.maps.scenario import changed
-from jaxurban.report.satellites import ROWS
+from jaxurban.receivers.report import ROWS
+from jaxurban.receivers.track import NUM_VISIBLE
 from jaxurban.report.write import interval, table
-from jaxurban.satellites.track import NUM_VISIBLE
 
 PAGE, TEMPLATE = (
     ROOT / "docs" / "evidence" / "receiver.md",

@@ -43,10 +43,10 @@ from jaxurban.paths.to_go import cost_to_go as cost_to_go
 from jaxurban.paths.when import Departures as Departures
 from jaxurban.paths.when import when as when
 from jaxurban.planners.cost import CostModel as CostModel
-from jaxurban.satellites.along import SkyAlong as SkyAlong
-from jaxurban.satellites.along import SkyAt as SkyAt
-from jaxurban.satellites.along import sky as sky
-from jaxurban.satellites.along import sky_along as sky_along
+from jaxurban.receivers.along import SkyAlong as SkyAlong
+from jaxurban.receivers.along import SkyAt as SkyAt
+from jaxurban.receivers.along import sky as sky
+from jaxurban.receivers.along import sky_along as sky_along
 from jaxurban.settings import Buildings as Buildings
 from jaxurban.settings import Heights as Heights
 from jaxurban.settings import HeightStd as HeightStd

@@ -7,10 +7,10 @@ import pandas as pd
 
 import jaxurban as ju
 from jaxurban.maps.run import scenario_grid
-from jaxurban.studies.receiver.agreement import PlaceSky
-from jaxurban.studies.receiver.drive import drive_track
-from jaxurban.studies.receiver.logs import ReceiverLog
-from tests.receiver_logs import drive, scenario
+from jaxurban.receivers.validation.agreement import PlaceSky
+from jaxurban.receivers.validation.drive import drive_track
+from jaxurban.receivers.validation.logs import ReceiverLog
+from tests.receivers.receiver_logs import drive, scenario
 
 
 @cache

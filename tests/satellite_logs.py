@@ -8,7 +8,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.maps.run import load_city, scenario_grid
-from tests.receiver_logs import drive, scenario
+from tests.receivers.receiver_logs import drive, scenario
 
 ANTENNA_M = 2.0
 SYSTEMS = "GE"

@@ -207,7 +207,7 @@ def a_track() -> Any:
 
 
 def validated(log: Any = None, **given: Any) -> Any:
-    from tests.receiver_logs import scenario
+    from tests.receivers.receiver_logs import scenario
 
     settings = given.pop("settings", None)
     if settings is None:

@@ -17,7 +17,7 @@ from jaxurban.io.files import SCRATCH_SUFFIX, read_json, write_json
 from jaxurban.io.workspace import Workspace
 from tests.cli_runs import assert_one_sentence, run
 from tests.faulty_disk import Killed, counted
-from tests.receiver_logs import scenario
+from tests.receivers.receiver_logs import scenario
 from tests.satellite_logs import heard
 
 SCENARIO = """

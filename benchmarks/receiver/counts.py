@@ -35,11 +35,11 @@ from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.progress import Progress, Report, reporting
+from jaxurban.receivers.sight import Sight
+from jaxurban.receivers.track import NUM_VISIBLE, Track, quality_along
+from jaxurban.receivers.validation.drive import drive_track
 from jaxurban.report.write import interval, table
-from jaxurban.satellites.sight import Sight
-from jaxurban.satellites.track import NUM_VISIBLE, Track, quality_along
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
-from jaxurban.studies.receiver.drive import drive_track
 from jaxurban.world.grid import Grid
 
 # What a log holds of how well the receiver did.

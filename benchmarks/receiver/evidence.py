@@ -21,13 +21,13 @@ from benchmarks.receiver.displaced import AROUND_M, FARTHEST_M, SCALES, STEP_M, 
 from benchmarks.receiver.rivals import MAP, compared_rules, features_of, gain_by_length
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, reporting
-from jaxurban.report.satellites import HEADS, ROWS
+from jaxurban.receivers.report import HEADS, ROWS
+from jaxurban.receivers.track import Track
+from jaxurban.receivers.validation.drive import Drive
+from jaxurban.receivers.validation.settings import ReceiverSettings
+from jaxurban.receivers.validation.validate import ReceiverValidation, validation_of
 from jaxurban.report.write import framed, interval, without_ends
-from jaxurban.satellites.track import Track
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.drive import Drive
-from jaxurban.studies.receiver.settings import ReceiverSettings
-from jaxurban.studies.receiver.validate import ReceiverValidation, validation_of
 from jaxurban.world.known import Rays
 
 MOST_MOVED = 20_000  # rows that are set against displaced cities and other roofs, of a longer log every n-th epoch

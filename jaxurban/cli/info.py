@@ -171,9 +171,9 @@ def _line_of_other(file: Path, error: InputError) -> str:
     """
     from jaxurban.flights.missions.mission import read_mission
     from jaxurban.io.orbits import read_orbits, span_of
-    from jaxurban.io.read.receivers import read_log
     from jaxurban.io.tracks import UTC, read_track
     from jaxurban.maps.scenario import Scenario
+    from jaxurban.receivers.log_files import read_log
 
     if file.stat().st_size > MOST_BYTES:
         raise error

@@ -23,16 +23,16 @@ from jaxurban.cli.info import info_command
 from jaxurban.cli.maps import maps_command
 from jaxurban.cli.plan import plan_command
 from jaxurban.cli.sensitivity import sensitivity_command
-from jaxurban.cli.sky import sky_command
 from jaxurban.cli.study import study_command
 from jaxurban.cli.tune import tune_command
-from jaxurban.cli.validate import validate_command
 from jaxurban.cli.view import view_command
 from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
 from jaxurban.flights.check_command import check_command
 from jaxurban.flights.return_command import return_command
 from jaxurban.progress import LOG, interrupted
+from jaxurban.receivers.sky_command import sky_command
+from jaxurban.receivers.validate_command import validate_command
 
 JSON = "--json"
 NO_MEMORY = (

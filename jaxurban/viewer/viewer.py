@@ -33,11 +33,11 @@ from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import BY_METHOD, PLANNERS
 from jaxurban.progress import LOG
+from jaxurban.receivers.along import sky_from
+from jaxurban.receivers.sight import Sight
 from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.metrics import group_numbers, line_colour
 from jaxurban.report.figures.paths import planner_colours
-from jaxurban.satellites.along import sky_from
-from jaxurban.satellites.sight import Sight
 from jaxurban.settings import CLEARANCES, DEFAULTS, Preset, Vehicle
 from jaxurban.viewer import markup
 from jaxurban.viewer.base import base_of

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.receiver.counts import CountSettings, CountValidation, counted
-from tests.receiver_logs import drive, scenario
+from tests.receivers.receiver_logs import drive, scenario
 
 SETTINGS = CountSettings(sky_step_s=240.0, block_m=100.0)
 # Most of the time goes into the shifts of each length.

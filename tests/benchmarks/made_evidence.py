@@ -10,7 +10,7 @@ import jaxurban as ju
 from benchmarks.receiver import displaced, rivals
 from benchmarks.receiver.evidence import Evidence, evidence_of
 from tests.made_agreement import made
-from tests.receiver_logs import scenario
+from tests.receivers.receiver_logs import scenario
 from tests.satellite_logs import heard
 
 FALSE_PRAISE = 17  # of 200: with 5 % of chance each, no more in 98 of 100 trials

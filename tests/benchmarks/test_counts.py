@@ -20,11 +20,11 @@ from benchmarks.receiver.counts import (
     within_blocks,
     without_each_block,
 )
-from jaxurban.satellites.sight import Sight
-from jaxurban.studies.receiver.drive import drive_track
+from jaxurban.receivers.sight import Sight
+from jaxurban.receivers.validation.drive import drive_track
 from tests.benchmarks.count_logs import OF_ONE_LENGTH, SETTINGS, found, seen, true_log
 from tests.metrics.whole_maps import compute_gps
-from tests.receiver_logs import SCENARIO, drive, scenario, surface
+from tests.receivers.receiver_logs import SCENARIO, drive, scenario, surface
 
 GRID = ju.Grid.from_bounds(SCENARIO["region"]["bounds"], 5.0)
 

@@ -13,8 +13,8 @@ from benchmarks.receiver import rivals
 from benchmarks.receiver.displaced import displacements, near_by, peaks
 from benchmarks.receiver.evidence import headings_rad, text_of, verdict_of
 from benchmarks.receiver.pictures import plot_displacement
-from jaxurban.satellites.walk import LegSurface
-from jaxurban.studies.receiver.scores import drawn_blocks
+from jaxurban.receivers.validation.scores import drawn_blocks
+from jaxurban.receivers.walk import LegSurface
 from tests.benchmarks.made_evidence import (
     FALSE_PRAISE,
     evidence,

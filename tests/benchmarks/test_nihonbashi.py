@@ -11,10 +11,10 @@ import shapely
 import jaxurban as ju
 from benchmarks.receiver.evidence import Evidence, evidence_of, headings_rad
 from jaxurban.io.orbits import read_orbits
-from jaxurban.io.read.receivers import read_reference
 from jaxurban.io.samples import located
 from jaxurban.maps.run import load_city, scenario_grid
-from jaxurban.studies.receiver.rinex import angles_along
+from jaxurban.receivers.log_files import read_reference
+from jaxurban.receivers.validation.rinex import angles_along
 from tests.benchmarks.made_evidence import FALSE_PRAISE, few_displaced, is_praised, wrong_margins
 from tests.satellite_logs import hidden_by_outlines
 

@@ -14,8 +14,8 @@ from benchmarks.receiver import counts
 from benchmarks.receiver.counts import CountSettings, read_counts, seen_along, with_interval
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.run import scenario_grid
-from jaxurban.satellites.sight import Sight
-from jaxurban.studies.receiver.drive import drive_track
+from jaxurban.receivers.sight import Sight
+from jaxurban.receivers.validation.drive import drive_track
 from tests.benchmarks.count_logs import found
 from tests.benchmarks.made_evidence import made_evidence
 from tests.embree_scene import CityScene

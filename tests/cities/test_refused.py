@@ -19,8 +19,8 @@ from jaxurban.cities.raster import raster_extent_m, read_raster
 from jaxurban.cities.vector import open_layers, read_vector
 from jaxurban.flights.airspace import read_zones
 from jaxurban.io.orbits import read_orbits
+from jaxurban.receivers.validation.logs import read_receiver_log
 from jaxurban.settings import SLABS
-from jaxurban.studies.receiver.logs import read_receiver_log
 from tests.io.made_files import (
     FEET,
     SQUARE,

@@ -26,7 +26,7 @@ from jaxurban.io.samples import SAMPLES, located, log_of, structures_of
 from jaxurban.maps.run import load_city, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.maps.sources import scenario_of
-from jaxurban.studies.receiver.logs import ReceiverLog, read_receiver_log
+from jaxurban.receivers.validation.logs import ReceiverLog, read_receiver_log
 from jaxurban.world.grid import WGS84, transformer
 from jaxurban.world.kinds import ALL_KINDS
 from tests.guess_records import by_name

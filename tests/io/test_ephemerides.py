@@ -17,7 +17,7 @@ from jaxurban.world.grid import Grid
 from tests.guess_records import by_name
 from tests.io.made_files import refused
 from tests.io.test_orbits import TLE
-from tests.io.test_rinex import (
+from tests.receivers.test_rinex import (
     NAV,
     TOE_S,
     UNDER_LAT_DEG,

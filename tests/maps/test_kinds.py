@@ -21,7 +21,7 @@ from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.satellites.outlines import Hiding
+from jaxurban.receivers.outlines import Hiding
 from jaxurban.settings import SLABS, Heights, HeightStd
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import WGS84, Grid, transformer

@@ -18,7 +18,7 @@ from jaxurban.io.zone import cell_boxes
 from jaxurban.maps.provenance import _building_record
 from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.metrics.variables import GROUP_NUMBERS
-from jaxurban.satellites.outlines import Hiding
+from jaxurban.receivers.outlines import Hiding
 from jaxurban.settings import SLABS, HeightStd
 from jaxurban.viewer.outlines import packed_outlines
 from jaxurban.world.footprints import Footprints, HeightOrigin

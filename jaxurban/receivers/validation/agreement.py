@@ -10,9 +10,9 @@ import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.io.tracks import LAT, LON, UTC
-from jaxurban.satellites.outlines import Hiding
-from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN, is_seen
-from jaxurban.studies.receiver.drive import Drive
+from jaxurban.receivers.outlines import Hiding
+from jaxurban.receivers.rule import HIDDEN, SEEN, UNKNOWN, is_seen
+from jaxurban.receivers.validation.drive import Drive
 
 FEWEST_ROWS = 100  # of a score
 FEWEST_SEEN = 8  # judged rows of a block that may be drawn as a place

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.studies.receiver import logs
-from jaxurban.studies.receiver.logs import read_receiver_log
+from jaxurban.receivers.validation import logs
+from jaxurban.receivers.validation.logs import read_receiver_log
 
 GOOD = pd.DataFrame(
     {

@@ -78,7 +78,7 @@ def levels_of(cn0_dbhz: pd.Series) -> np.ndarray:
 
 
 def score_table(rows: pd.DataFrame, seed: int) -> pd.DataFrame:
-    """Return the ``scores`` of a `jaxurban.studies.receiver.validate.ReceiverValidation`.
+    """Return the ``scores`` of a `jaxurban.receivers.validation.validate.ReceiverValidation`.
 
     Args:
       rows: its rows.

@@ -9,10 +9,10 @@ import jaxurban as ju
 from benchmarks.receiver.counts import seen_along
 from jaxurban.maps.build import region_of
 from jaxurban.metrics.reception import ReceptionCurve
-from jaxurban.satellites.rule import FARTHEST_MARGIN_M, is_seen, states_of
-from jaxurban.satellites.sight import Sight
-from jaxurban.satellites.track import Track
-from jaxurban.satellites.walk import LegSurface
+from jaxurban.receivers.rule import FARTHEST_MARGIN_M, is_seen, states_of
+from jaxurban.receivers.sight import Sight
+from jaxurban.receivers.track import Track
+from jaxurban.receivers.walk import LegSurface
 from jaxurban.world.known import Rays
 from jaxurban.world.raster import Raster
 from tests.made_maps import city_of_boxes

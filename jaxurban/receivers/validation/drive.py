@@ -12,21 +12,21 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.io.rasterise import highest_top_m
-from jaxurban.io.read.receivers import read_log
 from jaxurban.io.samples import log_of
 from jaxurban.io.tracks import AZIMUTH, CN0, LAT, LON, UTC
 from jaxurban.knowledge import Guesses
 from jaxurban.maps.run import scenario_grid
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Report
-from jaxurban.satellites.rule import FARTHEST_MARGIN_M
-from jaxurban.satellites.sight import Sight
-from jaxurban.satellites.track import Track
-from jaxurban.satellites.walk import LEG_CELLS, LegSurface
-from jaxurban.studies.receiver.logs import ReceiverLog, read_receiver_log, table_log
-from jaxurban.studies.receiver.rinex import with_navigation
-from jaxurban.studies.receiver.satellites import known_of, with_directions
-from jaxurban.studies.receiver.settings import EVERYWHERE, ReceiverSettings
+from jaxurban.receivers.log_files import read_log
+from jaxurban.receivers.rule import FARTHEST_MARGIN_M
+from jaxurban.receivers.sight import Sight
+from jaxurban.receivers.track import Track
+from jaxurban.receivers.validation.logs import ReceiverLog, read_receiver_log, table_log
+from jaxurban.receivers.validation.rinex import with_navigation
+from jaxurban.receivers.validation.satellites import known_of, with_directions
+from jaxurban.receivers.validation.settings import EVERYWHERE, ReceiverSettings
+from jaxurban.receivers.walk import LEG_CELLS, LegSurface
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
 

@@ -20,8 +20,8 @@ from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, Point
 from jaxurban.public import FactsRepr, listed
-from jaxurban.satellites.rule import STATES
-from jaxurban.satellites.sight import Sight, cautions_of, xy_of
+from jaxurban.receivers.rule import STATES
+from jaxurban.receivers.sight import Sight, cautions_of, xy_of
 from jaxurban.settings import as_tuple, parse_time
 
 

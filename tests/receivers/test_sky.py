@@ -14,10 +14,10 @@ import jaxurban as ju
 from jaxurban.io.samples import located
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.build import region_of
-from jaxurban.report.figures.sky import plot_sky
-from jaxurban.satellites import outlines
-from jaxurban.satellites.along import sky_from
-from jaxurban.satellites.sight import Sight
+from jaxurban.receivers import outlines
+from jaxurban.receivers.along import sky_from
+from jaxurban.receivers.figures import plot_sky
+from jaxurban.receivers.sight import Sight
 from jaxurban.world.footprints import Footprints
 from jaxurban.world.raster import Raster
 from tests.embree_scene import CityScene

@@ -12,9 +12,9 @@ from jaxurban import wings
 from jaxurban.io.city import City
 from jaxurban.io.orbits import matching
 from jaxurban.io.tracks import AZIMUTH, CN0, ELEVATION, SATELLITE
-from jaxurban.satellites.track import NUM_VISIBLE, Track
-from jaxurban.studies.receiver.logs import EPOCH, ReceiverLog
-from jaxurban.studies.receiver.settings import EVERYWHERE, OF_CITY
+from jaxurban.receivers.track import NUM_VISIBLE, Track
+from jaxurban.receivers.validation.logs import EPOCH, ReceiverLog
+from jaxurban.receivers.validation.settings import EVERYWHERE, OF_CITY
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
 
@@ -82,7 +82,7 @@ def counted(rows: pd.DataFrame, num_epochs: int) -> pd.DataFrame:
     has NaN.
 
     Args:
-      rows: of a `jaxurban.studies.receiver.validate.ReceiverValidation`.
+      rows: of a `jaxurban.receivers.validation.validate.ReceiverValidation`.
       num_epochs: N.
     """
     judged = rows[rows.is_judged]

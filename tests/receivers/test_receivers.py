@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.receivers import read_log
-from jaxurban.studies.receiver.logs import read_receiver_log, table_log
-from jaxurban.studies.receiver.rinex import with_navigation
+from jaxurban.receivers.log_files import read_log
+from jaxurban.receivers.validation.logs import read_receiver_log, table_log
+from jaxurban.receivers.validation.rinex import with_navigation
 from tests.io.made_files import refused
 
 KEYS = ["utc", "satellite"]

@@ -7,7 +7,9 @@ import pandas as pd
 
 from jaxurban.io.tracks import CN0, LAT, LON, SATELLITE, UTC
 from jaxurban.maps.levels import listed_m
-from jaxurban.report.satellites import HEADS, ROWS, satellite_figures
+from jaxurban.receivers.report import HEADS, ROWS, satellite_figures
+from jaxurban.receivers.validation.logs import EPOCH
+from jaxurban.receivers.validation.validate import ReceiverValidation
 from jaxurban.report.write import (
     Written,
     bullets,
@@ -20,8 +22,6 @@ from jaxurban.report.write import (
 )
 from jaxurban.settings import as_tuple
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.logs import EPOCH
-from jaxurban.studies.receiver.validate import ReceiverValidation
 
 FIRST = [UTC, LON, LAT, SATELLITE, "state", "margin_m", CN0]  # columns of the table of satellites
 
@@ -52,7 +52,7 @@ def validation_outputs(result: ReceiverValidation) -> Written:
 def validation_markdown(result: ReceiverValidation) -> str:
     """Return the report as Markdown."""
     return fill(
-        "report/templates/validate",
+        "receivers/templates/validate",
         tables={"scores": score_texts(result.scores)},
         credits=[result.attribution],
         result=result,

@@ -10,7 +10,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from jaxurban.report.figures.sky import draw_horizon, sky_places
+from jaxurban.receivers.figures import draw_horizon, sky_places
+from jaxurban.receivers.validation.validate import ReceiverValidation
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,
@@ -25,7 +26,6 @@ from jaxurban.report.figures.style import (
     styled,
 )
 from jaxurban.report.write import Figures
-from jaxurban.studies.receiver.validate import ReceiverValidation
 
 HIDDEN, SEEN = "#d55e00", "#0072b2"
 CLASSES = ((False, "hidden by a building", "^", HIDDEN), (True, "in view", "o", SEEN))

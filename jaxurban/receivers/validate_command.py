@@ -20,7 +20,7 @@ from jaxurban.cli.common import (
     run_study,
 )
 from jaxurban.cli.options import command, options_of
-from jaxurban.studies.receiver.settings import ReceiverSettings
+from jaxurban.receivers.validation.settings import ReceiverSettings
 
 
 @command()
@@ -64,7 +64,7 @@ def validate_command(
     import pandas as pd
 
     from jaxurban.io.tables import records_of
-    from jaxurban.studies.receiver.validate import validate
+    from jaxurban.receivers.validation.validate import validate
 
     study = partial(validate, scenario, log_file, settings, **files)
     result = run_study("validate", output, study, overwrite)

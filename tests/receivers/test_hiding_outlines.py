@@ -5,8 +5,8 @@ import pytest
 import shapely
 
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.satellites.outlines import NO_HIT, BuildingTrees
-from jaxurban.satellites.rule import FARTHEST_MARGIN_M
+from jaxurban.receivers.outlines import NO_HIT, BuildingTrees
+from jaxurban.receivers.rule import FARTHEST_MARGIN_M
 from jaxurban.settings import SLABS, TO_GROUND
 from jaxurban.world.footprints import Footprints
 from jaxurban.world.known import Rays

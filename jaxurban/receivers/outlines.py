@@ -21,7 +21,7 @@ from jaxurban.io.city import City
 from jaxurban.io.rasterise import highest_top_m
 from jaxurban.io.sampling import raster_values
 from jaxurban.progress import LOG
-from jaxurban.satellites.rule import FARTHEST_MARGIN_M, HIDDEN, LOWEST_HORIZON_DEG, states_of
+from jaxurban.receivers.rule import FARTHEST_MARGIN_M, HIDDEN, LOWEST_HORIZON_DEG, states_of
 from jaxurban.settings import SLABS, Hanging
 from jaxurban.world.footprints import Footprints
 from jaxurban.world.grid import WGS84, Grid, transformer

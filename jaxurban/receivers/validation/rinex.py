@@ -8,7 +8,7 @@ import pandas as pd
 
 from jaxurban.io.orbits import Orbits, look_angles, read_orbits, rinex_name
 from jaxurban.io.tracks import AZIMUTH, CN0, ELEVATION, HEIGHT, LAT, LON, SATELLITE, UTC
-from jaxurban.studies.receiver.logs import ReceiverLog, table_log
+from jaxurban.receivers.validation.logs import ReceiverLog, table_log
 
 NO_MESSAGE = "no navigation message of the time"
 LOWEST_HEARD_DEG = 5.0  # lowest elevation of a satellite that has rows in a log
@@ -22,7 +22,7 @@ def with_navigation(table: pd.DataFrame, navigation: str | Path, name: str) -> R
     satellite that its navigation message calls unhealthy has no row, nor has one without a message of the time.
 
     Args:
-      table: from `jaxurban.io.read.receivers.read_log`, with satellites and their C/N0.
+      table: from `jaxurban.receivers.log_files.read_log`, with satellites and their C/N0.
       navigation: broadcast RINEX, or other orbits that `read_orbits` reads.
       name: of the log.
 

@@ -12,12 +12,12 @@ from scipy.stats import mannwhitneyu
 import jaxurban as ju
 from jaxurban.kernels.shadows.sweep import ENTRY_STEPS
 from jaxurban.maps.run import load_city, scenario_grid
-from jaxurban.satellites.walk import LegSurface
-from jaxurban.studies.receiver import drive
-from jaxurban.studies.receiver.scores import aucs, drawn_blocks, levels_of
+from jaxurban.receivers.validation import drive
+from jaxurban.receivers.validation.scores import aucs, drawn_blocks, levels_of
+from jaxurban.receivers.walk import LegSurface
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
-from tests.receiver_logs import scenario
+from tests.receivers.receiver_logs import scenario
 from tests.satellite_logs import found, heard, hidden_by_outlines
 
 

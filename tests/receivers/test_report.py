@@ -9,8 +9,8 @@ from matplotlib.text import Text
 
 import jaxurban as ju
 from figures import sky
-from jaxurban.report.receiver import validation_markdown, validation_outputs
-from jaxurban.report.satellites import MARGINS_M, satellite_figures
+from jaxurban.receivers.report import MARGINS_M, satellite_figures
+from jaxurban.receivers.validation.report import validation_markdown, validation_outputs
 from tests.benchmarks.made_evidence import made_evidence
 from tests.made_agreement import made
 

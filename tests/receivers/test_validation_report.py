@@ -7,7 +7,7 @@ import pytest
 
 import jaxurban as ju
 from tests.cli_runs import assert_one_sentence, run
-from tests.receiver_logs import SCENARIO, scenario
+from tests.receivers.receiver_logs import SCENARIO, scenario
 from tests.satellite_logs import heard
 
 

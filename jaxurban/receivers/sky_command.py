@@ -81,7 +81,7 @@ def sky_command(
 
     They are seen from a place, or along a track, over the maps in DIR.
     """
-    from jaxurban.io.read.receivers import read_log
+    from jaxurban.receivers.log_files import read_log
 
     # The sky at a place, or along a track; further options are arguments of both.
     _check_files(files, track)
@@ -104,7 +104,7 @@ def sky_command(
         raise click.UsageError("give either --at, a place, or --track, a file")
 
     # Files, and what is printed.
-    from jaxurban.report.figures.sky import plot_sky
+    from jaxurban.receivers.figures import plot_sky
 
     write_outputs(files, partial(plot_sky, result), tables["table"], result.cautions)
     if as_json:

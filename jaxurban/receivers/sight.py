@@ -26,9 +26,9 @@ from jaxurban.metrics.gps import DOPS, FIX, Gps, has_no_fix
 from jaxurban.metrics.population import Population
 from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.public import listed
-from jaxurban.satellites.outlines import Hiding
-from jaxurban.satellites.rule import HIDDEN, SEEN, UNKNOWN
-from jaxurban.satellites.track import NUM_VISIBLE, quality_along
+from jaxurban.receivers.outlines import Hiding
+from jaxurban.receivers.rule import HIDDEN, SEEN, UNKNOWN
+from jaxurban.receivers.track import NUM_VISIBLE, quality_along
 from jaxurban.settings import Heights
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays

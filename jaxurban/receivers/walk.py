@@ -12,7 +12,7 @@ import numpy as np
 from jaxurban.io.city import City
 from jaxurban.io.rasterise import rasterise, surface_grid
 from jaxurban.kernels.shadows.rays import Walks, shadows_at, walks
-from jaxurban.satellites.rule import FARTHEST_MARGIN_M
+from jaxurban.receivers.rule import FARTHEST_MARGIN_M
 from jaxurban.settings import TO_GROUND
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays

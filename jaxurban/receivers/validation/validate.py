@@ -19,15 +19,20 @@ from jaxurban.io.tracks import UTC
 from jaxurban.knowledge import Caution, Guesses
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, Report, reporting
-from jaxurban.satellites.track import NUM_VISIBLE
+from jaxurban.receivers.track import NUM_VISIBLE
+from jaxurban.receivers.validation.agreement import (
+    PlaceSky,
+    example_skies,
+    judged_rows,
+    strong_dbhz,
+)
+from jaxurban.receivers.validation.drive import Drive
+from jaxurban.receivers.validation.logs import ReceiverLog
+from jaxurban.receivers.validation.satellites import NUM_HEARD, counted
+from jaxurban.receivers.validation.scores import score_table
+from jaxurban.receivers.validation.settings import EVERYWHERE, ReceiverSettings
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, interval_columns
 from jaxurban.studies.conclusions import Conclusion, Verdict, concluded, runs_needed
-from jaxurban.studies.receiver.agreement import PlaceSky, example_skies, judged_rows, strong_dbhz
-from jaxurban.studies.receiver.drive import Drive
-from jaxurban.studies.receiver.logs import ReceiverLog
-from jaxurban.studies.receiver.satellites import NUM_HEARD, counted
-from jaxurban.studies.receiver.scores import score_table
-from jaxurban.studies.receiver.settings import EVERYWHERE, ReceiverSettings
 
 CHANCE = 0.5  # AUC of what does not tell seen from hidden
 
@@ -80,7 +85,7 @@ class ReceiverValidation(Result):
     """
 
     _command = "validate"
-    _report = "jaxurban.report.receiver:validation_outputs"
+    _report = "jaxurban.receivers.validation.report:validation_outputs"
 
     log: ReceiverLog
     settings: ReceiverSettings
@@ -191,7 +196,7 @@ def validate(
       settings: how the two are set beside each other.
       navigation: of such a file the satellites' orbits, broadcast RINEX or what ``[gps] orbits`` takes; they add the
         satellites that the receiver did not hear. Left out, NMEA's own directions, else the scenario's orbits.
-      reference: places of the antenna, as a table or its file (`jaxurban.io.read.receivers.read_reference`); left out,
+      reference: places of the antenna, as a table or its file (`jaxurban.receivers.log_files.read_reference`); left out,
         those of the log.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 

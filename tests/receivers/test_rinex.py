@@ -11,9 +11,9 @@ from pyproj import Transformer
 
 from jaxurban.errors import InputError
 from jaxurban.io.orbits import read_orbits
-from jaxurban.io.read.receivers import read_log, read_reference
-from jaxurban.studies.receiver.logs import ReceiverLog, read_receiver_log
-from jaxurban.studies.receiver.rinex import angles_along, with_navigation
+from jaxurban.receivers.log_files import read_log, read_reference
+from jaxurban.receivers.validation.logs import ReceiverLog, read_receiver_log
+from jaxurban.receivers.validation.rinex import angles_along, with_navigation
 
 WEEK, TOW_S, LEAP_S = 2267, 349_740.0, 18  # 2023-06-22T01:09:00 of GPS time
 UTC = pd.Timestamp("2023-06-22T01:08:42Z")

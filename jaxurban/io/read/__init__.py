@@ -1,1 +1,0 @@
-"""Readers: files to a city, a sky, routes and zones."""

@@ -1,0 +1,1 @@
+"""A receiver's log against the city."""
