@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.common import ROOT
 from benchmarks.workloads import WORKLOADS
-from jaxurban.studies.bootstrap import Clusters
+from jaxurban.statistics.bootstrap import Clusters
 
 XLA_CACHE = (
     ROOT / "out" / "compiled"

@@ -20,8 +20,8 @@ from scipy.ndimage import gaussian_filter
 
 import jaxurban as ju
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.studies.bootstrap import Clusters
-from jaxurban.studies.conclusions import runs_needed
+from jaxurban.statistics.bootstrap import Clusters
+from jaxurban.statistics.conclusions import runs_needed
 from jaxurban.studies.decided import (
     FEWEST_GROUPS,
     Measure,

@@ -31,7 +31,7 @@ import pandas as pd
 
 import jaxurban as ju
 from jaxurban.plot import plot_paths
-from jaxurban.report.buildings import plot_building_costs
+from jaxurban.studies.reports.buildings import plot_building_costs
 
 city = ju.demo_city(width_m=1_600, height_m=1_600)
 buildings = city.buildings

@@ -24,8 +24,8 @@ import numpy as np
 
 import jaxurban as ju
 from jaxurban.plot import plot_paths
-from jaxurban.report.figures.tuning import plot_routes, plot_weights
 from jaxurban.studies.demonstrations import optimal_demonstrations
+from jaxurban.studies.figures.tuning import plot_routes, plot_weights
 
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import jaxurban as ju
 from jaxurban.plot import plot_paths
-from jaxurban.report.figures.sensitivity import (
+from jaxurban.studies.figures.sensitivity import (
     plot_breakpoint_routes,
     plot_breakpoints,
     plot_pareto,

@@ -19,10 +19,10 @@ from jaxurban.metrics.custom import Layer
 from jaxurban.paths.route_report import short
 from jaxurban.public import Caution
 from jaxurban.report.figures.metrics import plot_metric
-from jaxurban.report.map_comparison import comparison_markdown
-from jaxurban.report.sensitivity import sensitivity_markdown
 from jaxurban.report.write import bullets, code, fill, plain, table
 from jaxurban.report.write import write_picture as write
+from jaxurban.studies.reports.map_comparison import comparison_markdown
+from jaxurban.studies.reports.sensitivity import sensitivity_markdown
 from jaxurban.viewer.html import write_page
 from jaxurban.viewer.sky import sky_html
 from jaxurban.viewer.viewer import Viewer
@@ -183,7 +183,7 @@ def test_no_text_of_maps_is_markup_in_a_report(maps, tmp_path):
 def test_what_a_template_is_filled_with_is_text_unless_it_is_markdown():
     unit = SimpleNamespace(altitude_m=20.0, cost_model=SimpleNamespace(kind=HTML))
     text = fill(
-        "report/templates/use_weights", credits=[HOSTILE], unit=unit, option=HOSTILE, where=HOSTILE
+        "studies/templates/use_weights", credits=[HOSTILE], unit=unit, option=HOSTILE, where=HOSTILE
     )
     check_markdown_harmless(text)
     assert plain(text) == text

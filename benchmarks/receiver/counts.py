@@ -39,7 +39,7 @@ from jaxurban.receivers.sight import Sight
 from jaxurban.receivers.track import NUM_VISIBLE, Track, quality_along
 from jaxurban.receivers.validation.drive import drive_track
 from jaxurban.report.write import interval, table
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.world.grid import Grid
 
 # What a log holds of how well the receiver did.

@@ -16,7 +16,7 @@ from jaxurban.receivers.rule import is_seen
 from jaxurban.receivers.validation.agreement import FEWEST_ROWS
 from jaxurban.receivers.validation.scores import aucs, drawn_blocks, levels_of
 from jaxurban.receivers.walk import LegSurface
-from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 from jaxurban.world.known import Rays
 
 NEAREST_M, FARTHEST_M = 80.0, 450.0  # that cities of the null are displaced by

@@ -27,7 +27,7 @@ from jaxurban.receivers.validation.drive import Drive
 from jaxurban.receivers.validation.settings import ReceiverSettings
 from jaxurban.receivers.validation.validate import ReceiverValidation, validation_of
 from jaxurban.report.write import framed, interval, without_ends
-from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 from jaxurban.world.known import Rays
 
 MOST_MOVED = 20_000  # rows that are set against displaced cities and other roofs, of a longer log every n-th epoch

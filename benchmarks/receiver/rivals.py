@@ -14,7 +14,7 @@ from scipy.special import expit, logit
 from jaxurban.metrics.reception import ReceptionCurve
 from jaxurban.receivers.rule import is_seen
 from jaxurban.receivers.validation.scores import drawn_blocks
-from jaxurban.studies.bootstrap import interval_of, named
+from jaxurban.statistics.bootstrap import interval_of, named
 
 MOST_FOLDS = 100  # with more blocks, every hundredth is left out together
 RIDGE, NUM_STEPS, LEAST_CHANCE = 1e-3, 12, 1e-6

@@ -17,14 +17,10 @@ import click
 
 from jaxurban.cities.fetch_command import fetch_command
 from jaxurban.cli.common import logged_on_stderr, print_json
-from jaxurban.cli.compare import compare_command
 from jaxurban.cli.demo import demo_command
 from jaxurban.cli.info import info_command
 from jaxurban.cli.maps import maps_command
 from jaxurban.cli.plan import plan_command
-from jaxurban.cli.sensitivity import sensitivity_command
-from jaxurban.cli.study import study_command
-from jaxurban.cli.tune import tune_command
 from jaxurban.cli.view import view_command
 from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.exit_codes import ExitCode
@@ -33,6 +29,10 @@ from jaxurban.flights.return_command import return_command
 from jaxurban.progress import LOG, interrupted
 from jaxurban.receivers.sky_command import sky_command
 from jaxurban.receivers.validate_command import validate_command
+from jaxurban.studies.compare_command import compare_command
+from jaxurban.studies.sensitivity_command import sensitivity_command
+from jaxurban.studies.study_command import study_command
+from jaxurban.studies.tune_command import tune_command
 
 JSON = "--json"
 NO_MEMORY = (

@@ -21,8 +21,8 @@ import shapely
 from scipy import ndimage, special
 
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Clusters
-from jaxurban.studies.conclusions import SAME, SharedVerdict, Verdict, runs_needed, singular
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS, LEVEL, Clusters
+from jaxurban.statistics.conclusions import SAME, SharedVerdict, Verdict, runs_needed, singular
 from jaxurban.world.grid import Grid
 
 FEWEST_RUNS = 10  # of a stratum of which something is said

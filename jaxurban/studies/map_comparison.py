@@ -24,9 +24,9 @@ from jaxurban.metrics.base import ALTITUDE
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.settings import iso_utc
-from jaxurban.studies.bootstrap import Clusters
+from jaxurban.statistics.bootstrap import Clusters
+from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, sized
 from jaxurban.studies.compared_routes import compared_routes
-from jaxurban.studies.conclusions import Conclusion, Verdict, concluded, sized
 from jaxurban.studies.decided import border_verdict, effects
 
 CELLS = ("y", "x")
@@ -81,7 +81,7 @@ class MapComparison(Result):
     """
 
     _command = "compare"
-    _report = "jaxurban.report.map_comparison:comparison_outputs"
+    _report = "jaxurban.studies.reports.map_comparison:comparison_outputs"
 
     names: tuple[str, str]
     a: MetricMaps

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from jaxurban.studies.bootstrap import (
+from jaxurban.statistics.bootstrap import (
     FEWEST_GROUPS,
     Clusters,
     draws_of,

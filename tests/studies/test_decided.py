@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from benchmarks.decisions import border_outcome, open_map, random_case
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters
-from jaxurban.studies.conclusions import (
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters
+from jaxurban.statistics.conclusions import (
     Conclusion,
     SharedVerdict,
     Verdict,

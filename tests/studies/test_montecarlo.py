@@ -15,9 +15,9 @@ from jaxurban.maps.executors import cluster_client
 from jaxurban.paths.rows import InstanceRuns, MapsFolder, solve_instance, solve_on
 from jaxurban.planners import base
 from jaxurban.planners.registry import PLANNERS, PlannerEntry
-from jaxurban.report.montecarlo import report_markdown, tables_of
 from jaxurban.studies.montecarlo.sampling import weight_columns
 from jaxurban.studies.montecarlo.trial import DISTANCE, Benchmark, row_columns
+from jaxurban.studies.reports.montecarlo import report_markdown, tables_of
 from tests.cli_runs import TOWN, run
 from tests.studies.routes_made import STUDY, same_rows, walled
 

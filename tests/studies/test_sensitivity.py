@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 
 import jaxurban as ju
 from jaxurban.planners.cost import STEPS
-from jaxurban.report.figures.sensitivity import one_figures
+from jaxurban.studies.figures.sensitivity import one_figures
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front

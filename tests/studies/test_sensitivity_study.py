@@ -18,11 +18,11 @@ import jaxurban as ju
 from jaxurban.maps.run import run_scenario
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.rows import InstanceRuns, RouteRules, solve_here
-from jaxurban.report.figures.sensitivity import many_figures, plot_nearest
-from jaxurban.report.sensitivity import sensitivity_markdown, shown_tables
-from jaxurban.studies.bootstrap import Clusters
-from jaxurban.studies.conclusions import SharedVerdict, Verdict
+from jaxurban.statistics.bootstrap import Clusters
+from jaxurban.statistics.conclusions import SharedVerdict, Verdict
+from jaxurban.studies.figures.sensitivity import many_figures, plot_nearest
 from jaxurban.studies.montecarlo.sampling import sample_joined
+from jaxurban.studies.reports.sensitivity import sensitivity_markdown, shown_tables
 from jaxurban.studies.weights.routes import OnChangedMaps
 from jaxurban.studies.weights.sobol import sobol_indices
 from jaxurban.studies.weights.summary import MORE, small_parts, summarise, summarise_shares

@@ -21,7 +21,7 @@ from jaxurban.report.write import (
     without_ends,
 )
 from jaxurban.settings import as_tuple
-from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 
 FIRST = [UTC, LON, LAT, SATELLITE, "state", "margin_m", CN0]  # columns of the table of satellites
 

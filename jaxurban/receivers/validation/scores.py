@@ -7,7 +7,7 @@ one each block once.
 import numpy as np
 import pandas as pd
 
-from jaxurban.studies.bootstrap import draws_of, interval_of, named
+from jaxurban.statistics.bootstrap import draws_of, interval_of, named
 
 LEVEL_DBHZ = 0.1  # to which C/N0 is rounded: no receiver resolves less
 

@@ -31,8 +31,8 @@ from jaxurban.receivers.validation.logs import ReceiverLog
 from jaxurban.receivers.validation.satellites import NUM_HEARD, counted
 from jaxurban.receivers.validation.scores import score_table
 from jaxurban.receivers.validation.settings import EVERYWHERE, ReceiverSettings
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, interval_columns
-from jaxurban.studies.conclusions import Conclusion, Verdict, concluded, runs_needed
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
+from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, runs_needed
 
 CHANCE = 0.5  # AUC of what does not tell seen from hidden
 

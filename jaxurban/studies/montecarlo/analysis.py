@@ -13,8 +13,8 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.queries import IN_METRES
 from jaxurban.paths.rows import BAD_INPUT, CRASHED, HAS_PATH
 from jaxurban.planners.base import Status
-from jaxurban.studies.bootstrap import Clusters, Interval, named
-from jaxurban.studies.conclusions import Conclusion, Verdict, concluded
+from jaxurban.statistics.bootstrap import Clusters, Interval, named
+from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded
 from jaxurban.studies.decided import Measure, Ranking, border_verdict, effects, ranked, wider_bounds
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED

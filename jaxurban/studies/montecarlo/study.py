@@ -24,7 +24,7 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress, reporting
-from jaxurban.studies.conclusions import Conclusion
+from jaxurban.statistics.conclusions import Conclusion
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
@@ -59,7 +59,7 @@ class BenchmarkResult(Result):
     """
 
     _command = "study"
-    _report = "jaxurban.report.montecarlo:benchmark_outputs"
+    _report = "jaxurban.studies.reports.montecarlo:benchmark_outputs"
 
     folder: Path
     maps: MetricMaps

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from jaxurban.programs import kept_jit
-from jaxurban.studies.conclusions import Verdict
+from jaxurban.statistics.conclusions import Verdict
 from jaxurban.studies.queries import RouteQuery, maps_of
 from jaxurban.studies.route_pool import NOT_A_ROUTE, RoutePool
 from jaxurban.studies.tuning.fenchel_young import FitTask, descend, fenchel_young_loss
@@ -52,7 +52,7 @@ def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) ->
 
     Where there are several cities, cities are drawn first, with replacement and as many as there are. Then each drawn
     city draws as many members as it has. This serves percentiles of refits; for intervals of means
-    `jaxurban.studies.bootstrap` draws one group less.
+    `jaxurban.statistics.bootstrap` draws one group less.
 
     Args:
       cities: ``[N]`` the number of each member's city, from 0.

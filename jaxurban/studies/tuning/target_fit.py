@@ -19,7 +19,7 @@ from jaxurban.errors import InputError
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.programs import kept_jit
 from jaxurban.progress import Report, reporting
-from jaxurban.studies.conclusions import Conclusion
+from jaxurban.statistics.conclusions import Conclusion
 from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
 from jaxurban.studies.route_pool import (
     FitSettings,

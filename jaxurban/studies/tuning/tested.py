@@ -8,8 +8,8 @@ import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.metrics.weights import Weights
-from jaxurban.studies.bootstrap import Clusters, interval_columns
-from jaxurban.studies.conclusions import Conclusion, Verdict, concluded, runs_needed
+from jaxurban.statistics.bootstrap import Clusters, interval_columns
+from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, runs_needed
 from jaxurban.studies.decided import FEWEST_TO_HOLD_OUT, USUAL_SHARE, effects
 from jaxurban.studies.queries import (
     LENGTH,

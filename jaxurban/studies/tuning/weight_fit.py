@@ -13,8 +13,8 @@ import pandas as pd
 from jaxurban.checks import at_least, typed
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval
-from jaxurban.studies.conclusions import Conclusion, Verdict
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters, Interval
+from jaxurban.statistics.conclusions import Conclusion, Verdict
 from jaxurban.studies.decided import FEWEST_TO_HOLD_OUT
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import RouteQuery, check_alike, command_to_plan, maps_of, weights_from

@@ -16,7 +16,7 @@ from scipy import special
 
 from jaxurban.checks import one_of
 from jaxurban.errors import InputError
-from jaxurban.studies.bootstrap import interval_reach
+from jaxurban.statistics.bootstrap import interval_reach
 from jaxurban.studies.queries import outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import OnPlans

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.paths.rows import HAS_PATH
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic, named
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic, named
 from jaxurban.studies.decided import FEWEST_RUNS
 from jaxurban.studies.weights.paid import PAID
 from jaxurban.studies.weights.routes import OF_WEIGHT, ROUTE_KEY

@@ -1,4 +1,4 @@
-"""What a study of weights decided, as records (`jaxurban.studies.conclusions`)."""
+"""What a study of weights decided, as records (`jaxurban.statistics.conclusions`)."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.studies.bootstrap import Clusters
-from jaxurban.studies.conclusions import Verdict
+from jaxurban.statistics.bootstrap import Clusters
+from jaxurban.statistics.conclusions import Verdict
 from jaxurban.studies.decided import Measure, border_verdict, effects, ranked
 from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.routes import ROUTE_KEY

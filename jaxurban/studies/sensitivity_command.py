@@ -123,7 +123,7 @@ def sensitivity_command(
     settings = SensitivitySettings(vary=vary, factors=factors, **study)
 
     from jaxurban.io.tables import read_table, records_of
-    from jaxurban.report.run_sensitivity import sensitivity
+    from jaxurban.studies.reports.run_sensitivity import sensitivity
 
     asked: Any = routes or DRAWN_ROUTES
     if start is not None:

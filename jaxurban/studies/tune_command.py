@@ -115,7 +115,7 @@ def tune_command(
         )
 
     from jaxurban.metrics.weights import Weights
-    from jaxurban.report.tuning import TuneSettings, run_tuning
+    from jaxurban.studies.reports.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
 
     # What decides the fit: ``routes`` holds all further options, which are of the routes, and gets the rules. A preset

@@ -8,15 +8,15 @@ from matplotlib.figure import Figure
 
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
-from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.figures.paths import plot_paths
-from jaxurban.report.sensitivity import weights_said
 from jaxurban.report.write import Written, fill, first_lines, joined_with_and, study_outputs
-from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.decided import FEWEST_RUNS
+from jaxurban.studies.figures.montecarlo import study_figures
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.sampling import KEY, query_columns
 from jaxurban.studies.montecarlo.study import BenchmarkResult
+from jaxurban.studies.reports.sensitivity import weights_said
 
 # The column of each table that counts runs.
 COUNTS = {"success": "joined", "times": "runs", "objectives": "pairs"}
@@ -100,7 +100,7 @@ def report_markdown(
     if study.budget_iterations is None:
         budget = f"{study.budget_s:g} s a run"
     return fill(
-        "report/templates/study",
+        "studies/templates/study",
         shown,
         figures,
         [result.maps.attribution],

@@ -16,7 +16,6 @@ from jaxurban.metrics.weights import Weights, check_held
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import reporting
-from jaxurban.report.figures.tuning import plot_routes, plot_weights
 from jaxurban.report.write import (
     REPORT_FILE,
     Markdown,
@@ -34,6 +33,7 @@ from jaxurban.studies.demonstrations import (
     compared_demonstrations,
     optimal_demonstrations,
 )
+from jaxurban.studies.figures.tuning import plot_routes, plot_weights
 from jaxurban.studies.montecarlo.sampling import sample_instances
 from jaxurban.studies.queries import command_to_plan, maps_of, weights_option
 from jaxurban.studies.route_pool import FitSettings
@@ -240,17 +240,17 @@ def outputs_of(
 
     # What depends on the kind of the fit: the template of its report, its table of weights, and further tables.
     if isinstance(fit, WeightFit):
-        template = "report/templates/imitation"
+        template = "studies/templates/imitation"
         noun = "demonstration"
         weights = fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["figures/weights.png"] = lambda: plot_weights(fit)
         fields["cautions"] = bullets(fit.cautions)
         fields["held_out"] = (
-            fill("report/templates/held_out", num=num_held_out, fit=fit) if num_held_out else ""
+            fill("studies/templates/held_out", num=num_held_out, fit=fit) if num_held_out else ""
         )
     else:
-        template = "report/templates/targets"
+        template = "studies/templates/targets"
         noun = "usual route"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         tables["outcomes"] = outputs["targets"] = fit.outcomes.reset_index()
@@ -284,7 +284,7 @@ def outputs_of(
         overlap=routes["overlap"].mean(),
         pictures=paragraphs(*(Markdown(f"![Routes](figures/{name}.png)") for name in pictures)),
         use=fill(
-            "report/templates/use_weights",
+            "studies/templates/use_weights",
             unit=first,
             command=command_to_plan(planned[0].query, fit.weights),
             where=_where(first),

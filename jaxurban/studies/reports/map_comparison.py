@@ -115,7 +115,7 @@ def comparison_markdown(result: MapComparison, changed: list[str]) -> str:
     settings = (f"{key}: {a} in A, {b} in B" for key, (a, b) in result.settings.items())
     pictures = (f"![{layer}, B - A](figures/{layer}.png)" for layer in map(plain, changed))
     return fill(
-        "report/templates/compare",
+        "studies/templates/compare",
         {"values": values, "routes": routes},
         credits=[result.a.attribution, result.b.attribution],
         names=result.names,

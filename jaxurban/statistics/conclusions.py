@@ -18,7 +18,7 @@ from scipy import special
 
 from jaxurban.io.tables import records_of
 from jaxurban.public import FactsRepr
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS, LEVEL
 
 FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effect
 MOST_RUNS = 1e6  # more are called "no number"

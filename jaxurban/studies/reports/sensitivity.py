@@ -12,7 +12,6 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.public import FactsRepr
-from jaxurban.report.figures.sensitivity import many_figures, one_figures
 from jaxurban.report.write import (
     REPORT_FILE,
     Figures,
@@ -26,9 +25,10 @@ from jaxurban.report.write import (
     save,
     study_outputs,
 )
-from jaxurban.studies.bootstrap import interval_columns
-from jaxurban.studies.conclusions import Conclusion, concluded
+from jaxurban.statistics.bootstrap import interval_columns
+from jaxurban.statistics.conclusions import Conclusion, concluded
 from jaxurban.studies.decided import wider_bounds
+from jaxurban.studies.figures.sensitivity import many_figures, one_figures
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.queries import outcome_label, population_norms, weights_option
 from jaxurban.studies.weights import summary
@@ -206,7 +206,7 @@ def sensitivity_markdown(result: Sensitivity, figures: Figures) -> str:
     reasons = lost.value_counts(["status", "note"]).head(MOST_REASONS).reset_index(name="routes")
     small = summary.small_parts(tables["weights"]) if "weights" in tables else []
     return fill(
-        "report/templates/sensitivity",
+        "studies/templates/sensitivity",
         {"cities": _cities(result), **shown_tables(tables)},
         figures,
         [maps.attribution for maps in result.maps.values()],

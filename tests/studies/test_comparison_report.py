@@ -7,7 +7,7 @@ from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban.report.figures.style import difference_colours
-from jaxurban.report.map_comparison import (
+from jaxurban.studies.reports.map_comparison import (
     comparison_markdown,
     comparison_outputs,
     plot_difference,

@@ -18,7 +18,7 @@ from jaxurban.paths.places import snap_limit_m
 from jaxurban.paths.queries import QueriesLike
 from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
 from jaxurban.progress import Progress, reporting
-from jaxurban.report.sensitivity import FILES, Sensitivity, write_sensitivity
+from jaxurban.studies.reports.sensitivity import FILES, Sensitivity, write_sensitivity
 from jaxurban.studies.weights.changed_maps import CHANGED_FOLDER, add_changed_rows
 from jaxurban.studies.weights.cities import (
     in_order,

@@ -1,0 +1,1 @@
+"""Intervals, and what they let a study conclude."""
