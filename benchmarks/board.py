@@ -20,15 +20,7 @@ from tqdm import tqdm
 
 import jaxurban as ju
 from benchmarks.score import city_maps, problem_of, score, unpacked
-from jaxurban.io.tables import records_of
-from jaxurban.kernels.line.segment_cost import segment_cost
-from jaxurban.planners.any_angle import theta_star
-from jaxurban.planners.astar import astar_plus
-from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.bitstar.bounds import cost_grid_of, reachable_cells
-from jaxurban.planners.bitstar.planner import bitstar_plus
-from jaxurban.planners.refine import refine
-from jaxurban.report.figures.style import (
+from jaxurban.draw.style import (
     MARKERS,
     SERIES_COLOURS,
     chart,
@@ -38,7 +30,15 @@ from jaxurban.report.figures.style import (
     name_rows,
     styled,
 )
-from jaxurban.report.write import write_picture
+from jaxurban.draw.write import write_picture
+from jaxurban.io.tables import records_of
+from jaxurban.kernels.line.segment_cost import segment_cost
+from jaxurban.planners.any_angle import theta_star
+from jaxurban.planners.astar import astar_plus
+from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.bitstar.bounds import cost_grid_of, reachable_cells
+from jaxurban.planners.bitstar.planner import bitstar_plus
+from jaxurban.planners.refine import refine
 from jaxurban.studies.demonstrations import demonstration_from_line
 
 MOST_GAP = 0.8  # that is drawn

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from jaxurban.draw.write import code, plain, save
 from jaxurban.errors import InputError
 from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.stored import short_number
@@ -24,7 +25,6 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.planners.base import Status
 from jaxurban.planners.cost import CostModel
-from jaxurban.report.write import code, plain, save
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
     read_instances,

@@ -26,11 +26,11 @@ from benchmarks.receiver.counts import (
     with_interval,
 )
 from benchmarks.receiver.evidence import Evidence, evidence_of
+from jaxurban.draw.write import interval, table
 from jaxurban.errors import StaleElementsWarning
 from jaxurban.maps.scenario import changed
 from jaxurban.receivers.report import ROWS
 from jaxurban.receivers.track import NUM_VISIBLE
-from jaxurban.report.write import interval, table
 
 PAGE, TEMPLATE = (
     ROOT / "docs" / "evidence" / "receiver.md",

@@ -15,12 +15,8 @@ from matplotlib.patheffects import Normal, Stroke
 from scipy.optimize import minimize_scalar
 
 import jaxurban as ju
-from jaxurban.planners.any_angle import theta_star
-from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Path, Problem
-from jaxurban.planners.refine import refine
-from jaxurban.report.figures.frame import BLOCKED_COLOUR, mark_ends
-from jaxurban.report.figures.style import (
+from jaxurban.draw.frame import BLOCKED_COLOUR, mark_ends
+from jaxurban.draw.style import (
     FAINT_INK,
     INK,
     SMALL_PT,
@@ -31,7 +27,11 @@ from jaxurban.report.figures.style import (
     letter_all,
     styled,
 )
-from jaxurban.report.write import Look, write_picture
+from jaxurban.draw.write import Look, write_picture
+from jaxurban.planners.any_angle import theta_star
+from jaxurban.planners.astar import astar
+from jaxurban.planners.base import Path, Problem
+from jaxurban.planners.refine import refine
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 PART_M = np.array(

@@ -6,11 +6,11 @@ import jax
 import numpy as np
 
 import jaxurban as ju
+from jaxurban.draw.write import write_picture
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.differentiable import SoftParams, soften
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask
-from jaxurban.report.write import write_picture
 from jaxurban.studies.reports.buildings import plot_building_costs
 from jaxurban.studies.weights.buildings import building_costs
 from jaxurban.world.grid import Grid

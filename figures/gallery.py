@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from jaxurban.report.write import DPI
+from jaxurban.draw.write import DPI
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "gallery.md"

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from jaxurban.draw.style import chart, styled
+from jaxurban.draw.write import write_picture
 from jaxurban.planners.astar import astar, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem
-from jaxurban.report.figures.style import chart, styled
-from jaxurban.report.write import write_picture
 
 WIDTH_MM = 162.0
 COST = np.array([[0.0, 5.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 0.0]])  # row 0 in the south

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import jaxurban as ju
 from figures.gallery import SCREEN_DPI
+from jaxurban.draw.write import write_picture
 from jaxurban.plot import plot_overview, save_profile
-from jaxurban.report.write import write_picture
 
 DOCS = Path(__file__).parents[1] / "docs"
 ALTITUDE_M, RESOLUTION_M = 40.0, 5.0

@@ -10,10 +10,10 @@ from matplotlib.ticker import PercentFormatter
 import jaxurban as ju
 from benchmarks.receiver.evidence import Evidence, evidence_of
 from benchmarks.receiver.pictures import draw_cities, plot_displacement
+from jaxurban.draw.style import INK, chart, dress, letter_all, styled
+from jaxurban.draw.write import write_picture
 from jaxurban.receivers.figures import draw_horizon, sky_places
 from jaxurban.receivers.report import CLASSES, satellite_figures
-from jaxurban.report.figures.style import INK, chart, dress, letter_all, styled
-from jaxurban.report.write import write_picture
 
 NAMES = ("sky", "sky_track", "sky_margin", "sky_displacement", "sky_skies")
 DOCS = Path(__file__).parents[1] / "docs"

@@ -14,10 +14,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 import jaxurban as ju
+from jaxurban.draw.style import chart, letter_all, styled
+from jaxurban.draw.write import write_picture
 from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Problem
-from jaxurban.report.figures.style import chart, letter_all, styled
-from jaxurban.report.write import write_picture
 
 FILE = Path(__file__).with_suffix(".png")
 ROOF, COLOURS, LEVELS_M = "#8a8a8a", "plasma", (10.0, 80.0)

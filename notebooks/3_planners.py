@@ -35,13 +35,13 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 import jaxurban as ju
+from jaxurban.draw.paths import planner_colours
+from jaxurban.draw.style import legend_below, panels, styled
 from jaxurban.planners.astar import astar, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bulk import solve_batched
 from jaxurban.plot import plot_paths
-from jaxurban.report.figures.paths import planner_colours
-from jaxurban.report.figures.style import legend_below, panels, styled
 from jaxurban.settings import PlannerName
 
 city = ju.sample_city("shinjuku")

@@ -27,6 +27,9 @@ logging.getLogger("jaxurban.compiling").disabled = True
 settings.register_profile("shared-machine", deadline=None)  # a busy machine is no failure
 settings.load_profile("shared-machine")
 
+# Scenes that tests of several folders share.
+pytest_plugins = ["tests.scenes"]
+
 DATA = Path(os.environ.get("JAXURBAN_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
@@ -43,7 +46,7 @@ def blank_pictures() -> Iterator[None]:
     """Reports have a small blank figure in the place of each picture: for tests of files, not of pictures."""
     from matplotlib.figure import Figure
 
-    from jaxurban.report import write
+    from jaxurban.draw import write
 
     save = write.save
 

@@ -6,6 +6,7 @@ A function of `PICTURES` is named as the package's own, ``module.plot_name``, an
 import importlib
 import inspect
 import pkgutil
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -18,15 +19,14 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 import jaxurban as ju
-from jaxurban import report
+from jaxurban.draw.style import Width
 from jaxurban.knowledge import Guess, GuessKind
-from jaxurban.report.figures.style import Width
 from jaxurban.studies.weights.breakpoints import Partition
+from tests.draw.test_figures import at_epochs, make_maps, make_path, make_paths
+from tests.draw.test_legible import agreement, crowded
 from tests.guess_records import FLAT, NOMINAL, attribute, heights
 from tests.made_agreement import made
 from tests.made_maps import city_of_boxes, made_maps, maps_of_kinds
-from tests.report.test_figures import at_epochs, make_maps, make_path, make_paths
-from tests.report.test_legible import agreement, crowded
 
 CREDIT = "Data: OpenStreetMap contributors (ODbL 1.0); U.S. Geological Survey; WorldPop (CC BY 4.0); own survey"
 GUESSES = (
@@ -39,6 +39,9 @@ METRICS = ("gps", "lidar", "population", "risk")
 LAYERS = (*METRICS, "noise_of_neighbours", "wind_at_roofs", "x1")
 PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus", "theta-star")
 CITIES = ("alpha", "Lower Manhattan, New York", "Niterói", "Shinjuku", "Wien, Innere Stadt", "beta")
+
+
+DRAWS = re.compile(r"draw|figures|report")  # in the name of a module
 
 
 class Case(NamedTuple):
@@ -58,13 +61,15 @@ class Case(NamedTuple):
 
 
 def functions() -> dict[str, Callable[..., Figure]]:
-    """Return the functions of the package that draw, by module and name."""
+    """Return the functions of the package that draw, by name."""
     drawn = {}
-    for found_module in pkgutil.walk_packages(report.__path__, f"{report.__name__}."):
+    for found_module in pkgutil.walk_packages(ju.__path__, f"{ju.__name__}."):
+        if not DRAWS.search(found_module.name):
+            continue
         module: ModuleType = importlib.import_module(found_module.name)
         for name, function in inspect.getmembers(module, inspect.isfunction):
             if name.startswith("plot_") and function.__module__ == module.__name__:
-                drawn[f"{module.__name__.rpartition('.')[2]}.{name}"] = function
+                drawn[name] = function
     return drawn
 
 
@@ -299,32 +304,32 @@ def _all_maps(plot, case: Case) -> Figure:
 
 
 PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
-    "buildings.plot_building_costs": _building_costs,
-    "check.plot_flown_heights": _mission,
-    "check.plot_mission": _mission,
-    "home.plot_return": _return,
-    "map_comparison.plot_difference": _difference,
-    "metrics.plot_epochs": _epochs,
-    "metrics.plot_gps_rating": _all_maps,
-    "metrics.plot_heights": _all_maps,
-    "metrics.plot_metric": _metric,
-    "metrics.plot_obstacles": _all_maps,
-    "metrics.plot_population": _all_maps,
-    "metrics.plot_sensor_choice": _all_maps,
-    "montecarlo.plot_costs": _costs,
-    "paths.plot_overview": _overview,
-    "paths.plot_paths": _paths,
-    "profile.plot_profile": _profile,
-    "satellites.plot_margin": _agreement,
-    "satellites.plot_skies": _agreement,
-    "satellites.plot_track": _agreement,
-    "sensitivity.plot_breakpoint_routes": _of_weights,
-    "sensitivity.plot_breakpoints": _of_weights,
-    "sensitivity.plot_pareto": _of_weights,
-    "sensitivity.plot_nearest": _of_summary,
-    "sensitivity.plot_regret": _of_summary,
-    "sky.plot_sky": _over_place,
-    "tuning.plot_routes": _imitated,
-    "tuning.plot_weights": _fitted,
-    "when.plot_when": _when,
+    "plot_building_costs": _building_costs,
+    "plot_flown_heights": _mission,
+    "plot_mission": _mission,
+    "plot_return": _return,
+    "plot_difference": _difference,
+    "plot_epochs": _epochs,
+    "plot_gps_rating": _all_maps,
+    "plot_heights": _all_maps,
+    "plot_metric": _metric,
+    "plot_obstacles": _all_maps,
+    "plot_population": _all_maps,
+    "plot_sensor_choice": _all_maps,
+    "plot_costs": _costs,
+    "plot_overview": _overview,
+    "plot_paths": _paths,
+    "plot_profile": _profile,
+    "plot_margin": _agreement,
+    "plot_skies": _agreement,
+    "plot_track": _agreement,
+    "plot_breakpoint_routes": _of_weights,
+    "plot_breakpoints": _of_weights,
+    "plot_pareto": _of_weights,
+    "plot_nearest": _of_summary,
+    "plot_regret": _of_summary,
+    "plot_sky": _over_place,
+    "plot_routes": _imitated,
+    "plot_weights": _fitted,
+    "plot_when": _when,
 }

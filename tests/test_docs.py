@@ -29,12 +29,12 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.cli.common import GIVEN, MAPS_PATH
 from jaxurban.cli.main import app
 from jaxurban.exit_codes import ExitCode
 from jaxurban.maps.scenario import Scenario
 from jaxurban.public import NAMESPACES
 from jaxurban.settings import Planning
+from jaxurban.terminal.common import GIVEN, MAPS_PATH
 from tests.cli_runs import run
 
 ROOT = Path(__file__).parents[1]

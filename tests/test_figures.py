@@ -13,7 +13,7 @@ from PIL import Image
 from figures import gallery
 from figures.paper import common, example_paths
 from jaxurban import plot as figures
-from jaxurban.report.figures.frame import MapPanel, classes_layer, draw_maps
+from jaxurban.draw.frame import MapPanel, classes_layer, draw_maps
 from jaxurban.world.grid import Grid
 
 ROOT = Path(__file__).parents[1]
@@ -104,7 +104,7 @@ def test_the_gallery_shows_every_function_and_keeps_what_its_page_shows():
 
 def test_the_gallery_draws_what_the_lines_of_its_page_write(tmp_path, monkeypatch):
     lines = """```python
-from jaxurban.report.figures.style import chart
+from jaxurban.draw.style import chart
 chart(2.0, "Two").savefig("two.png")
 ```
 ![two](gallery/two.webp)

@@ -11,6 +11,9 @@ import pyproj
 import pytest
 
 import jaxurban as ju
+from jaxurban.draw.metrics import plot_metric
+from jaxurban.draw.write import bullets, code, fill, plain, table
+from jaxurban.draw.write import write_picture as write
 from jaxurban.errors import InputError
 from jaxurban.flights.report import check_markdown
 from jaxurban.io.files import write_json
@@ -18,9 +21,6 @@ from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.metrics.custom import Layer
 from jaxurban.paths.route_report import short
 from jaxurban.public import Caution
-from jaxurban.report.figures.metrics import plot_metric
-from jaxurban.report.write import bullets, code, fill, plain, table
-from jaxurban.report.write import write_picture as write
 from jaxurban.studies.reports.map_comparison import comparison_markdown
 from jaxurban.studies.reports.sensitivity import sensitivity_markdown
 from jaxurban.viewer.html import write_page

@@ -25,6 +25,7 @@ from scipy.stats import rankdata
 from scipy.stats import t as student
 
 from benchmarks.common import exit_code
+from jaxurban.draw.write import interval, table
 from jaxurban.errors import InputError
 from jaxurban.io.samples import located
 from jaxurban.io.tables import read_table
@@ -38,7 +39,6 @@ from jaxurban.progress import Progress, Report, reporting
 from jaxurban.receivers.sight import Sight
 from jaxurban.receivers.track import NUM_VISIBLE, Track, quality_along
 from jaxurban.receivers.validation.drive import drive_track
-from jaxurban.report.write import interval, table
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, LEVEL, Interval
 from jaxurban.world.grid import Grid
 

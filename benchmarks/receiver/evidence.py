@@ -19,6 +19,7 @@ import pandas as pd
 from benchmarks.common import exit_code
 from benchmarks.receiver.displaced import AROUND_M, FARTHEST_M, SCALES, STEP_M, Displaced
 from benchmarks.receiver.rivals import MAP, compared_rules, features_of, gain_by_length
+from jaxurban.draw.write import framed, interval, without_ends
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Progress, reporting
 from jaxurban.receivers.report import HEADS, ROWS
@@ -26,7 +27,6 @@ from jaxurban.receivers.track import Track
 from jaxurban.receivers.validation.drive import Drive
 from jaxurban.receivers.validation.settings import ReceiverSettings
 from jaxurban.receivers.validation.validate import ReceiverValidation, validation_of
-from jaxurban.report.write import framed, interval, without_ends
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 from jaxurban.world.known import Rays
 

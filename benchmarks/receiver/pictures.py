@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from benchmarks.receiver.evidence import Evidence
+from jaxurban.draw.style import INK, chart, dress, letter_all, styled
 from jaxurban.receivers.figures import ROOFS
 from jaxurban.receivers.report import HIDDEN, SEEN
-from jaxurban.report.figures.style import INK, chart, dress, letter_all, styled
 
 NAMES = {"auc": "all satellites", "within": "within each satellite"}  # of scores
 

@@ -23,11 +23,11 @@ from matplotlib.path import Path as Outline
 
 import jaxurban as ju
 from jaxurban.cities.census import read_blocks, read_districts
+from jaxurban.draw.write import framed, write_picture
 from jaxurban.io.samples import SAMPLES
 from jaxurban.maps.run import ScenarioRun, run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.plot import plot_metric
-from jaxurban.report.write import framed, write_picture
 from jaxurban.studies.montecarlo.sampling import STRATA, strata_of
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.grid import Grid

@@ -13,15 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from figures.paper.common import IS_SMALL, PATH_M, TOWNS, Caption, Town, save
-from jaxurban.maps.scenario import PAPER_PLANNERS
-from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.finish import finish
-from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.places import XY
-from jaxurban.paths.plan import cost_map
-from jaxurban.paths.search import PathSearch
-from jaxurban.planners.registry import find_planner
-from jaxurban.report.figures.frame import (
+from jaxurban.draw.frame import (
     BLOCKED_COLOUR,
     NO_DATA_COLOUR,
     NO_DATA_PATCH,
@@ -32,15 +24,23 @@ from jaxurban.report.figures.frame import (
     joined,
     rules_said,
 )
-from jaxurban.report.figures.metrics import obstacle_patches
-from jaxurban.report.figures.paths import (
+from jaxurban.draw.metrics import obstacle_patches
+from jaxurban.draw.paths import (
     COST_COLOURS,
     cost_layers,
     outcome_line,
     path_entries,
     planner_colours,
 )
-from jaxurban.report.figures.paths import draw_paths as add_paths
+from jaxurban.draw.paths import draw_paths as add_paths
+from jaxurban.maps.scenario import PAPER_PLANNERS
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.finish import finish
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.places import XY
+from jaxurban.paths.plan import cost_map
+from jaxurban.paths.search import PathSearch
+from jaxurban.planners.registry import find_planner
 from jaxurban.studies.montecarlo.trial import draws_samples
 from jaxurban.world.grid import Grid
 

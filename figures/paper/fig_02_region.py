@@ -19,9 +19,9 @@ from figures.paper.common import (
     region_grid,
     save,
 )
+from jaxurban.draw.frame import MapPanel, draw_maps, joined
+from jaxurban.draw.style import FAINT_INK, INK
 from jaxurban.io.samples import SAMPLES
-from jaxurban.report.figures.frame import MapPanel, draw_maps, joined
-from jaxurban.report.figures.style import FAINT_INK, INK
 from jaxurban.world.grid import WGS84, Grid, transformer
 
 WATER, LAND, FAR_LAND, PARK = "#dbe6ee", "#ffffff", "#ececec", "#b9d8a8"

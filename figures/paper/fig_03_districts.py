@@ -17,9 +17,9 @@ from figures.paper.common import (
     region_grid,
     save,
 )
+from jaxurban.draw.frame import MapPanel, draw_maps, joined
+from jaxurban.draw.style import INK, Colours
 from jaxurban.metrics.population import Population, block_layers
-from jaxurban.report.figures.frame import MapPanel, draw_maps, joined
-from jaxurban.report.figures.style import INK, Colours
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.grid import Grid
 

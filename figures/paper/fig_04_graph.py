@@ -8,11 +8,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from figures.paper.common import PATH_M, TOWNS, Caption, save
+from jaxurban.draw.metrics import precise_percent
+from jaxurban.draw.style import INK, SMALL_PT, TEXT_PT, chart, inches, wrapped
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost import STEPS, CostModel, allowed_moves
 from jaxurban.planners.grid_search import graph_of
-from jaxurban.report.figures.metrics import precise_percent
-from jaxurban.report.figures.style import INK, SMALL_PT, TEXT_PT, chart, inches, wrapped
 
 ALTITUDE_M = 20.0
 # v_0 in the middle; v_1 north of it, then clockwise, so that straight neighbours are odd and diagonal ones even.

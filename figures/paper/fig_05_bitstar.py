@@ -13,12 +13,7 @@ from matplotlib.patches import Patch
 
 import jaxurban as ju
 from figures.paper.common import Caption, save
-from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Problem
-from jaxurban.planners.bitstar.bounds import make_bounds
-from jaxurban.planners.bitstar.planner import Batches, BitStarOptions, bitstar_plus
-from jaxurban.planners.bitstar.tree import Tree
-from jaxurban.report.figures.frame import (
+from jaxurban.draw.frame import (
     DrawnMap,
     MapPanel,
     draw_maps,
@@ -26,8 +21,13 @@ from jaxurban.report.figures.frame import (
     frame_note,
     rules_said,
 )
-from jaxurban.report.figures.metrics import precise_percent
-from jaxurban.report.figures.style import FAINT_INK, INK, Colours
+from jaxurban.draw.metrics import precise_percent
+from jaxurban.draw.style import FAINT_INK, INK, Colours
+from jaxurban.planners.astar import astar
+from jaxurban.planners.base import Problem
+from jaxurban.planners.bitstar.bounds import make_bounds
+from jaxurban.planners.bitstar.planner import Batches, BitStarOptions, bitstar_plus
+from jaxurban.planners.bitstar.tree import Tree
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 ENDS = ((0.25, 0.20), (0.80, 0.70))  # start and goal as shares of the map, north and east

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import (
+from jaxurban.errors import InputError
+from jaxurban.progress import LOG
+from jaxurban.terminal.common import (
     FLAG,
     JSON_FLAG,
     NAMES,
@@ -14,9 +16,7 @@ from jaxurban.cli.common import (
     Settings,
     print_json,
 )
-from jaxurban.cli.options import Numbers, command
-from jaxurban.errors import InputError
-from jaxurban.progress import LOG
+from jaxurban.terminal.options import Numbers, command
 
 
 @command()

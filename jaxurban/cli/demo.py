@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, SHOWN, print_json
-from jaxurban.cli.options import command
 from jaxurban.progress import LOG, reporting
 from jaxurban.settings import PlannerName
+from jaxurban.terminal.common import DEVICE, JSON_FLAG, OVERWRITE, PATH, SHOWN, print_json
+from jaxurban.terminal.options import command
 
 CITY = "sample:lower-manhattan"
 RESOLUTION_M = 5.0
@@ -31,13 +31,13 @@ def demo_command(folder: Path, overwrite: bool, as_json: bool) -> None:
     """
     import pandas as pd
 
+    from jaxurban.draw.write import save
     from jaxurban.io.stored import RUN_FILE
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.run import run_scenario
     from jaxurban.maps.scenario import Scenario
     from jaxurban.paths.plan import plan
     from jaxurban.plot import save_figures
-    from jaxurban.report.write import save
 
     # The folder is checked before maps and paths are made.
     scenario = Scenario.from_dict(

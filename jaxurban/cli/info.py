@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxurban.cli.common import GIVEN, JSON_FLAG, Settings, print_json
-from jaxurban.cli.options import command
 from jaxurban.errors import InputError
 from jaxurban.io.samples import located
 from jaxurban.io.sniff import LIDAR, sniff
 from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
 from jaxurban.knowledge import names_of
+from jaxurban.terminal.common import GIVEN, JSON_FLAG, Settings, print_json
+from jaxurban.terminal.options import command
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps

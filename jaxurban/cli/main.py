@@ -16,7 +16,6 @@ from typing import Any
 import click
 
 from jaxurban.cities.fetch_command import fetch_command
-from jaxurban.cli.common import logged_on_stderr, print_json
 from jaxurban.cli.demo import demo_command
 from jaxurban.cli.info import info_command
 from jaxurban.cli.maps import maps_command
@@ -33,6 +32,7 @@ from jaxurban.studies.compare_command import compare_command
 from jaxurban.studies.sensitivity_command import sensitivity_command
 from jaxurban.studies.study_command import study_command
 from jaxurban.studies.tune_command import tune_command
+from jaxurban.terminal.common import logged_on_stderr, print_json
 
 JSON = "--json"
 NO_MEMORY = (

@@ -5,7 +5,9 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import (
+from jaxurban.errors import InputError
+from jaxurban.progress import LOG, reporting
+from jaxurban.terminal.common import (
     CHANGES,
     DEVICE_CHOICE,
     FLAG,
@@ -19,9 +21,7 @@ from jaxurban.cli.common import (
     stay_on_cpu,
     use_device,
 )
-from jaxurban.cli.options import command
-from jaxurban.errors import InputError
-from jaxurban.progress import LOG, reporting
+from jaxurban.terminal.options import command
 
 
 @command()

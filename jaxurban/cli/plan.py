@@ -6,7 +6,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 import click
 
-from jaxurban.cli.common import (
+from jaxurban.errors import InputError
+from jaxurban.exit_codes import ExitCode
+from jaxurban.paths.suffixes import FLOWN, MISSION, check_picture, check_route_file
+from jaxurban.progress import LOG
+from jaxurban.settings import Backend, MissionEnd
+from jaxurban.terminal.common import (
     CORRIDOR,
     DEVICE,
     FILES,
@@ -21,12 +26,7 @@ from jaxurban.cli.common import (
     print_json,
     write_outputs,
 )
-from jaxurban.cli.options import Values, command, grouped_options
-from jaxurban.errors import InputError
-from jaxurban.exit_codes import ExitCode
-from jaxurban.paths.suffixes import FLOWN, MISSION, check_picture, check_route_file
-from jaxurban.progress import LOG
-from jaxurban.settings import Backend, MissionEnd
+from jaxurban.terminal.options import Values, command, grouped_options
 
 if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
@@ -389,7 +389,7 @@ def _write_route(
         except InputError as error:
             refused.append(f"{file}: {error}")
     if report is not None and outputs.profile is not None:
-        from jaxurban.report.figures.profile import save_profile
+        from jaxurban.draw.profile import save_profile
 
         save_profile(planned, costs.maps, outputs.profile, report)
         LOG.info(f"wrote {outputs.profile}")
@@ -430,8 +430,8 @@ def _write_departures(
       outputs: files of the table, and of the strip as a picture.
       as_json: print one JSON object instead of the table.
     """
+    from jaxurban.draw.when import plot_when
     from jaxurban.io.tables import records_of
-    from jaxurban.report.figures.when import plot_when
 
     files = filter(None, dict.fromkeys((*outputs.files, outputs.profile)))
     strip = partial(plot_when, departures, maps)

@@ -6,9 +6,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxurban.cli.common import FLAG, FOLDER, MAPS, MAPS_PATH, PATH, PRESET, SHOWN, SOURCES, MapsOf
-from jaxurban.cli.options import command
 from jaxurban.progress import LOG
+from jaxurban.terminal.common import (
+    FLAG,
+    FOLDER,
+    MAPS,
+    MAPS_PATH,
+    PATH,
+    PRESET,
+    SHOWN,
+    SOURCES,
+    MapsOf,
+)
+from jaxurban.terminal.options import command
 
 if TYPE_CHECKING:
     from jaxurban.settings import Preset

@@ -7,7 +7,10 @@ from typing import Any, TypedDict
 import click
 
 import jaxurban
-from jaxurban.cli.common import (
+from jaxurban.exit_codes import ExitCode
+from jaxurban.knowledge import Caution
+from jaxurban.progress import LOG
+from jaxurban.terminal.common import (
     CORRIDOR,
     FILES,
     FOLDER,
@@ -27,10 +30,7 @@ from jaxurban.cli.common import (
     constraints_given,
     print_json,
 )
-from jaxurban.cli.options import Values, command, grouped_options
-from jaxurban.exit_codes import ExitCode
-from jaxurban.knowledge import Caution
-from jaxurban.progress import LOG
+from jaxurban.terminal.options import Values, command, grouped_options
 
 CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": ExitCode.NOT_JUDGED}
 

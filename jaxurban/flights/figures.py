@@ -3,11 +3,11 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from jaxurban.draw.frame import END_LOOK
+from jaxurban.draw.metrics import plot_metric
+from jaxurban.draw.style import HEAD_IN, TEXT_PT
+from jaxurban.draw.write import Look
 from jaxurban.flights.return_altitude import NAME, ReturnAltitude
-from jaxurban.report.figures.frame import END_LOOK
-from jaxurban.report.figures.metrics import plot_metric
-from jaxurban.report.figures.style import HEAD_IN, TEXT_PT
-from jaxurban.report.write import Look
 
 
 def plot_return(home: ReturnAltitude) -> Figure:

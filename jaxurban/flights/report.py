@@ -14,16 +14,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from jaxurban.flights.check_result import MissionCheck
-from jaxurban.knowledge import names_of
-from jaxurban.metrics.variables import BUILT_COLOUR
-from jaxurban.paths.constraints import describe_constraints
-from jaxurban.paths.route_report import TOUCHED
-from jaxurban.report.figures import frame
-from jaxurban.report.figures.metrics import roof_layers
-from jaxurban.report.figures.profile import ALTITUDE_COLOUR
-from jaxurban.report.figures.style import chart, dress, label_apart, legend_above, styled
-from jaxurban.report.write import (
+from jaxurban.draw import frame
+from jaxurban.draw.metrics import roof_layers
+from jaxurban.draw.profile import ALTITUDE_COLOUR
+from jaxurban.draw.style import chart, dress, label_apart, legend_above, styled
+from jaxurban.draw.write import (
     Figures,
     Look,
     Markdown,
@@ -33,6 +28,11 @@ from jaxurban.report.write import (
     plain,
     study_outputs,
 )
+from jaxurban.flights.check_result import MissionCheck
+from jaxurban.knowledge import names_of
+from jaxurban.metrics.variables import BUILT_COLOUR
+from jaxurban.paths.constraints import describe_constraints
+from jaxurban.paths.route_report import TOUCHED
 
 FOUND_COLOUR, STREET_COLOUR = "#d00000", "#9a9a9a"
 STREETS = ("street", "major")

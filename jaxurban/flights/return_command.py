@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import (
+from jaxurban.terminal.common import (
     CEILING,
     FILES,
     FOLDER,
@@ -18,7 +18,7 @@ from jaxurban.cli.common import (
     print_json,
     write_outputs,
 )
-from jaxurban.cli.options import command
+from jaxurban.terminal.options import command
 
 
 @command()

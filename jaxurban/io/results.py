@@ -15,7 +15,7 @@ class Result(FactsRepr):
     Attributes:
       _command: that writes such results; a folder of one of another command is not replaced.
       _report: ``module:function``, which is imported when a result is saved, as it draws. The function returns what is
-        written of a result (`jaxurban.report.write.Written`).
+        written of a result (`jaxurban.draw.write.Written`).
     """
 
     _command: ClassVar[str]
@@ -33,7 +33,7 @@ class Result(FactsRepr):
           InputError: the folder cannot be written to, or holds another study or other files.
         """
         folder = Path(folder)
-        write = resolve_name("jaxurban.report.write")
+        write = resolve_name("jaxurban.draw.write")
         outputs, settings = resolve_name(self._report)(self)
         names = write.files_of(outputs)
         with Workspace.open(folder, self._command, settings, names=names, overwrite=overwrite):

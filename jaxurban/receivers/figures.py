@@ -9,10 +9,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
-from jaxurban.receivers.along import SkyAt
-from jaxurban.receivers.rule import HIDDEN, SEEN, UNKNOWN
-from jaxurban.report.figures.frame import joined, time_said
-from jaxurban.report.figures.style import (
+from jaxurban.draw.frame import joined, time_said
+from jaxurban.draw.style import (
     INK,
     MARKERS,
     SERIES_COLOURS,
@@ -23,6 +21,8 @@ from jaxurban.report.figures.style import (
     legend_columns,
     styled,
 )
+from jaxurban.receivers.along import SkyAt
+from jaxurban.receivers.rule import HIDDEN, SEEN, UNKNOWN
 
 ROOFS = "#cfcac2"
 SKY = 0.62  # height by the figure's width

@@ -10,9 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from jaxurban.receivers.figures import draw_horizon, sky_places
-from jaxurban.receivers.validation.validate import ReceiverValidation
-from jaxurban.report.figures.style import (
+from jaxurban.draw.style import (
     FAINT_INK,
     INK,
     Colours,
@@ -25,7 +23,9 @@ from jaxurban.report.figures.style import (
     letter_all,
     styled,
 )
-from jaxurban.report.write import Figures
+from jaxurban.draw.write import Figures
+from jaxurban.receivers.figures import draw_horizon, sky_places
+from jaxurban.receivers.validation.validate import ReceiverValidation
 
 HIDDEN, SEEN = "#d55e00", "#0072b2"
 CLASSES = ((False, "hidden by a building", "^", HIDDEN), (True, "in view", "o", SEEN))

@@ -8,7 +8,8 @@ import click
 
 import jaxurban
 from jaxurban import wings
-from jaxurban.cli.common import (
+from jaxurban.paths.suffixes import PICTURES
+from jaxurban.terminal.common import (
     FILES,
     FOLDER,
     GIVEN,
@@ -22,8 +23,7 @@ from jaxurban.cli.common import (
     print_json,
     write_outputs,
 )
-from jaxurban.cli.options import command
-from jaxurban.paths.suffixes import PICTURES
+from jaxurban.terminal.options import command
 
 if TYPE_CHECKING:
     import pandas as pd

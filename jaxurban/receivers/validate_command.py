@@ -6,7 +6,8 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import (
+from jaxurban.receivers.validation.settings import ReceiverSettings
+from jaxurban.terminal.common import (
     CHANGES,
     DEVICE,
     GIVEN,
@@ -19,8 +20,7 @@ from jaxurban.cli.common import (
     report_places,
     run_study,
 )
-from jaxurban.cli.options import command, options_of
-from jaxurban.receivers.validation.settings import ReceiverSettings
+from jaxurban.terminal.options import command, options_of
 
 
 @command()

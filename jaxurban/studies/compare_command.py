@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 import jaxurban
-from jaxurban.cli.common import (
+from jaxurban.terminal.common import (
     COUNT,
     DEVICE,
     JSON_FLAG,
@@ -23,7 +23,7 @@ from jaxurban.cli.common import (
     report_places,
     run_study,
 )
-from jaxurban.cli.options import command
+from jaxurban.terminal.options import command
 
 
 @command()

@@ -5,7 +5,9 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import (
+from jaxurban.progress import LOG
+from jaxurban.studies.weights.settings import SensitivitySettings
+from jaxurban.terminal.common import (
     GIVEN,
     JSON_FLAG,
     MAPS,
@@ -27,9 +29,7 @@ from jaxurban.cli.common import (
     outcome_of,
     print_json,
 )
-from jaxurban.cli.options import Names, Numbers, Values, command
-from jaxurban.progress import LOG
-from jaxurban.studies.weights.settings import SensitivitySettings
+from jaxurban.terminal.options import Names, Numbers, Values, command
 
 NO_ROUTE = "no route was found, so that nothing can be said: the report says why"
 DRAWN_ROUTES = 30  # in each folder of maps

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxurban.cli.common import (
+from jaxurban.progress import LOG, reporting
+from jaxurban.terminal.common import (
     CHANGES,
     DEVICE,
     GIVEN,
@@ -25,8 +26,7 @@ from jaxurban.cli.common import (
     outcome_of,
     print_json,
 )
-from jaxurban.cli.options import command, grouped_options
-from jaxurban.progress import LOG, reporting
+from jaxurban.terminal.options import command, grouped_options
 
 if TYPE_CHECKING:
     from jaxurban.paths.constraints import Constraints

@@ -6,7 +6,8 @@ from typing import Any, TypedDict
 import click
 
 from jaxurban.checks import values_given
-from jaxurban.cli.common import (
+from jaxurban.progress import LOG
+from jaxurban.terminal.common import (
     DEVICE,
     GIVEN,
     JSON_FLAG,
@@ -22,8 +23,7 @@ from jaxurban.cli.common import (
     log_lines,
     print_json,
 )
-from jaxurban.cli.options import Values, command
-from jaxurban.progress import LOG
+from jaxurban.terminal.options import Values, command
 
 OF_SEARCH = ("max_rounds", "seed", "budget_s")  # of `Fit`: the settings of the search
 

@@ -8,6 +8,17 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import BoundaryNorm, Normalize
 
+from jaxurban.draw.frame import BLOCKED_COLOUR, NO_DATA_PATCH, OBSTACLE_COLOUR
+from jaxurban.draw.metrics import (
+    EMPTY_COLOUR,
+    class_patches,
+    colours_of,
+    drawn_variables,
+    metric_colours,
+    values_of,
+)
+from jaxurban.draw.paths import COST_COLOURS
+from jaxurban.draw.style import Colours, bar_ticks, difference_colours, tick_label
 from jaxurban.flights.return_altitude import LONG_NAME, NAME
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
@@ -17,17 +28,6 @@ from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR
 from jaxurban.paths.closed import CAUSES, causes_at, obstacles_at
 from jaxurban.paths.plan import rules_on
-from jaxurban.report.figures.frame import BLOCKED_COLOUR, NO_DATA_PATCH, OBSTACLE_COLOUR
-from jaxurban.report.figures.metrics import (
-    EMPTY_COLOUR,
-    class_patches,
-    colours_of,
-    drawn_variables,
-    metric_colours,
-    values_of,
-)
-from jaxurban.report.figures.paths import COST_COLOURS
-from jaxurban.report.figures.style import Colours, bar_ticks, difference_colours, tick_label
 from jaxurban.viewer.markup import legend
 
 # Of the causes that close cells without an obstacle.

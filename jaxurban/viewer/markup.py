@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.ticker import MaxNLocator
 
+from jaxurban.draw.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR, beneath
 from jaxurban.flights.export.write import FORMATS
 from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.paths.route_report import CLEARANCE, GUESSED, short
-from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR, beneath
 
 # Of the profile, in pixels: its size, the borders of its two panels from above, the height of the lower panel's axis,
 # and that of a line of text.

@@ -4,9 +4,9 @@ import numpy as np
 import shapely
 from rasterio.features import shapes
 
+from jaxurban.draw.metrics import group_numbers
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.variables import GROUP_COLOURS, GROUP_NUMBERS
-from jaxurban.report.figures.metrics import group_numbers
 from jaxurban.viewer.tiles import packed
 from jaxurban.world.footprints import Footprints
 

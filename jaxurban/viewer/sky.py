@@ -6,10 +6,10 @@ from itertools import cycle
 import numpy as np
 import pandas as pd
 
+from jaxurban.draw.style import INK, SERIES_COLOURS
 from jaxurban.receivers.along import SkyAt
 from jaxurban.receivers.figures import EDGE_DEG, ROOFS, short_name
 from jaxurban.receivers.rule import HIDDEN, SEEN, UNKNOWN
-from jaxurban.report.figures.style import INK, SERIES_COLOURS
 from jaxurban.viewer.markup import dot, number, rows, sentences
 
 RADIUS, ROUND = 90.0, 360  # of the picture, whose middle is the zenith, a unit a degree; degrees

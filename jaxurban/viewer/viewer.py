@@ -16,6 +16,9 @@ from uuid import uuid4
 import numpy as np
 
 from jaxurban.checks import one_of
+from jaxurban.draw.frame import guesses_said, place_said, rules_said, time_said
+from jaxurban.draw.metrics import group_numbers, line_colour
+from jaxurban.draw.paths import planner_colours
 from jaxurban.errors import InputError, JaxurbanError, RemadeError
 from jaxurban.flights.export.base import waypoints
 from jaxurban.flights.return_altitude import NAME, return_altitude
@@ -35,9 +38,6 @@ from jaxurban.planners.registry import BY_METHOD, PLANNERS
 from jaxurban.progress import LOG
 from jaxurban.receivers.along import sky_from
 from jaxurban.receivers.sight import Sight
-from jaxurban.report.figures.frame import guesses_said, place_said, rules_said, time_said
-from jaxurban.report.figures.metrics import group_numbers, line_colour
-from jaxurban.report.figures.paths import planner_colours
 from jaxurban.settings import CLEARANCES, DEFAULTS, Preset, Vehicle
 from jaxurban.viewer import markup
 from jaxurban.viewer.base import base_of

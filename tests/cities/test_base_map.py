@@ -11,7 +11,7 @@ from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
 from jaxurban.studies.montecarlo.study import land_cover_of
 from jaxurban.world.grid import Grid, transformer
-from tests.io.made_files import UTM, WGS84, line, osm
+from tests.made_files import UTM, WGS84, line, osm
 
 BOX_M = (583_000, 4_507_000, 584_000, 4_508_000)
 SOHO = {

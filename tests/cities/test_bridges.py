@@ -8,7 +8,7 @@ from shapely.geometry import LineString, Point, box
 from jaxurban.cities.bridges import LANE_M, SHOULDERS_M
 from jaxurban.cities.vector import read_vector
 from tests.cities.test_stands import AREA, stand
-from tests.io.made_files import UTM, write_vector
+from tests.made_files import UTM, write_vector
 
 ROAD = LineString([(0, 0), (200, 0)])
 LONG = LineString([(0, 0), (400, 0)])

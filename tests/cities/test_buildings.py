@@ -19,7 +19,7 @@ from jaxurban.maps.task import MapTask
 from jaxurban.world.grid import transformer
 from tests.cli_runs import run
 from tests.guess_records import by_name
-from tests.io.made_files import (
+from tests.made_files import (
     LAT,
     LON,
     SQUARE,

@@ -22,7 +22,7 @@ from jaxurban.maps.provenance import hash_inputs
 from jaxurban.maps.scenario import Scenario
 from jaxurban.world.footprints import HeightOrigin
 from tests.cli_runs import run
-from tests.io.made_files import refused
+from tests.made_files import refused
 
 X, Y, Z = 565_000.0, 5_934_000.0, 20.0  # Hamburg, UTM zone 32, and its ground
 UTM32 = "EPSG:25832"

@@ -10,7 +10,7 @@ import jaxurban as ju
 from jaxurban.cities.census import read_blocks
 from jaxurban.cities.city import read_buildings
 from jaxurban.metrics.population import Population
-from tests.io.made_files import SQUARE, UTM, WGS84, box, osm, write_features, write_vector
+from tests.made_files import SQUARE, UTM, WGS84, box, osm, write_features, write_vector
 
 NEW_YORK = "EPSG:2263"  # US survey feet, where the square lies
 # A row of each publisher's table, named as in its dictionary, and the height of its roof above the ground in metres.

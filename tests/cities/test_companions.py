@@ -18,7 +18,7 @@ from jaxurban.cities.city import lonlat_extent
 from jaxurban.cities.raster import read_raster
 from jaxurban.cities.vector import read_vector
 from jaxurban.io.geoparquet import read_geoparquet
-from tests.io.made_files import UTM, box, refused, write_raster, write_vector
+from tests.made_files import UTM, box, refused, write_raster, write_vector
 
 DATUM = 'DATUM["x",SPHEROID["Bessel",6377397.155,299.15]%s]'
 WKT = (

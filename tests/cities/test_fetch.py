@@ -22,7 +22,7 @@ from jaxurban.io.files import only_writer
 from jaxurban.io.nominal import nominal_satellites
 from jaxurban.maps.run import load_city, run_scenario
 from tests.cli_runs import assert_one_sentence, run
-from tests.io.made_files import line, node, osm, way
+from tests.made_files import line, node, osm, way
 from tests.misbehaving_server import send
 from tests.tiled_runs import files_of
 

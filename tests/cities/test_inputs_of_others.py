@@ -9,7 +9,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.cities.city import read_buildings
-from tests.io.made_files import WGS84
+from tests.made_files import WGS84
 
 UTM = "EPSG:32618"
 SIDE = 0.0003  # degrees

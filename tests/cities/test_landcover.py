@@ -12,7 +12,7 @@ from jaxurban.maps.guesses import leaving_shares, outside_share
 from jaxurban.studies.montecarlo.study import land_cover_of
 from jaxurban.world.grid import transformer
 from jaxurban.world.raster import Raster
-from tests.io.made_files import UTM, WGS84, X, Y, box, line, north_up, osm, write_vector
+from tests.made_files import UTM, WGS84, X, Y, box, line, north_up, osm, write_vector
 
 SEA_BOX = shapely.box(0, 0, 3000, 2000)
 

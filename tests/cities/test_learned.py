@@ -21,7 +21,7 @@ from jaxurban.io.learned import (
     likely_of,
 )
 from jaxurban.world.footprints import HeightOrigin
-from tests.io.made_files import write_vector
+from tests.made_files import write_vector
 
 UTM = "EPSG:32618"
 SMALL, LARGE = "buildings of 60 to 200 m2", "buildings above 1,000 m2"

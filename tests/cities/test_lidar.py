@@ -15,7 +15,7 @@ from jaxurban.cities.lidar import read_points
 from jaxurban.errors import InputError
 from jaxurban.io.sampling import raster_values
 from tests.cli_runs import assert_one_sentence, run
-from tests.io.made_files import UTM, X, Y, refused, write_raster
+from tests.made_files import UTM, X, Y, refused, write_raster
 
 laspy = pytest.importorskip("laspy", reason="the extra `lidar` is not installed")
 

@@ -12,7 +12,7 @@ from jaxurban.cities.heights import ROUGH, is_given, parse_count, parse_length_m
 from jaxurban.cities.osm import read_osm
 from jaxurban.cities.outlines import Outlines
 from jaxurban.world.footprints import HeightOrigin
-from tests.io.made_files import (
+from tests.made_files import (
     LAT,
     LON,
     SQUARE,

@@ -14,7 +14,7 @@ from jaxurban.cities.census import read_blocks
 from jaxurban.io.rasterise import bands_of, rasterise
 from jaxurban.world.grid import Grid, transformer
 from tests.guess_records import by_name
-from tests.io.made_files import (
+from tests.made_files import (
     UTM,
     WGS84,
     X,

@@ -24,7 +24,7 @@ from jaxurban.metrics.population import block_layers
 from jaxurban.world.blocks import OTHER_DISTRICT, Zoning
 from jaxurban.world.footprints import Footprints
 from jaxurban.world.grid import Grid, transformer
-from tests.io.made_files import UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
+from tests.made_files import UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
 
 IDS = ["360610001001000", "360610001001001", "360610001001002"]
 COM, RES, OTHER = Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER

@@ -23,7 +23,7 @@ from jaxurban.io.city import City
 from jaxurban.io.sampling import heights_above, resample_raster
 from jaxurban.world.grid import transformer
 from jaxurban.world.raster import Raster
-from tests.io.made_files import FEET, UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
+from tests.made_files import FEET, UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
 
 ELSEWHERE = "EPSG:32617"
 

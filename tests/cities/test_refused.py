@@ -21,7 +21,7 @@ from jaxurban.flights.airspace import read_zones
 from jaxurban.io.orbits import read_orbits
 from jaxurban.receivers.validation.logs import read_receiver_log
 from jaxurban.settings import SLABS
-from tests.io.made_files import (
+from tests.made_files import (
     FEET,
     SQUARE,
     UTM,

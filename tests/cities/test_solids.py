@@ -16,7 +16,7 @@ from jaxurban.cities.buildings import to_buildings
 from jaxurban.cities.outlines import Near
 from jaxurban.cities.vector import read_vector
 from jaxurban.world.footprints import HeightOrigin
-from tests.io.made_files import FEET, UTM, WGS84, box, write_vector
+from tests.made_files import FEET, UTM, WGS84, box, write_vector
 
 GROUND_M = 100.0
 FOOT_M = 1200 / 3937  # of the United States' surveys

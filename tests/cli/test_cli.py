@@ -16,11 +16,11 @@ import pytest
 from shapely import box
 
 import jaxurban as ju
-from jaxurban.cli.common import use_device
 from jaxurban.cli.main import app
 from jaxurban.cli.plan import _path_table
 from jaxurban.io.glance import glance
 from jaxurban.metrics.custom import held_metrics
+from jaxurban.terminal.common import use_device
 from jaxurban.world.grid import grid_of
 from tests.cli_runs import ENDS, TOWN, assert_one_sentence, run, write_city
 from tests.test_process import heavy_modules

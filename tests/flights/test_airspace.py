@@ -17,7 +17,7 @@ from jaxurban.errors import IgnoredZoneWarning
 from jaxurban.flights.airspace import read_zones
 from jaxurban.io.zone import Zone, cell_boxes, touched_cells
 from jaxurban.world.grid import Grid, transformer, utm_crs
-from tests.io.made_files import UTM, WGS84, refused, write_features, write_vector
+from tests.made_files import UTM, WGS84, refused, write_features, write_vector
 from tests.made_maps import made_maps
 
 GRID = Grid(UTM, 5.0, 901_000, 116_600, 70, 90)

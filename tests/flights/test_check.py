@@ -25,7 +25,7 @@ from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.raster import Raster
 from tests.guess_records import attribute
 from tests.made_maps import made_maps, maps_of_kinds
-from tests.paths.volumes import ends_at
+from tests.volumes import ends_at
 
 SIDE_M, GEOID_M, CLEARANCE_M = 600.0, 37.0, 4.0
 DENSE_M = 0.2  # between the points that tell the truth

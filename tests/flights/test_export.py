@@ -22,7 +22,7 @@ from jaxurban.paths.ground import elevation_at, ground_along
 from jaxurban.planners.base import Status
 from jaxurban.world.grid import Grid
 from tests.mavlink import mission_reader
-from tests.paths.volumes import made_path
+from tests.volumes import made_path
 
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_600, 400, 400)
 KML = {"k": "http://www.opengis.net/kml/2.2"}

@@ -9,7 +9,7 @@ import jaxurban as ju
 from jaxurban.flights.flown import cells_as_clear
 from jaxurban.flights.missions.parts import Leg, Mission, Place
 from tests.made_maps import made_maps
-from tests.paths.volumes import ends_at, with_roofs
+from tests.volumes import ends_at, with_roofs
 
 SIDE_M, FLOWN_M = 10.0, 50.0
 BY_LENGTH = ju.Weights(distance=1.0, gps=0.0, lidar=0.0, population=0.0, risk=0.0)

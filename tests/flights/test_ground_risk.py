@@ -16,7 +16,7 @@ from jaxurban.paths.route_report import GRIDS_M
 from tests.cli_runs import run
 from tests.guess_records import FLAT, attribute
 from tests.made_maps import made_maps
-from tests.paths.volumes import made_path, options_of
+from tests.volumes import made_path, options_of
 
 WIDTHS = {"half_width_m": 15.0, "contingency_m": 10.0, "buffer_m": 35.0}
 REACH_M = sum(WIDTHS.values())

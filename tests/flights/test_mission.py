@@ -11,9 +11,9 @@ from jaxurban.flights.export.write import FORMATS, write_path
 from jaxurban.flights.missions.mission import read_mission
 from jaxurban.flights.missions.parts import Leg, Place
 from jaxurban.world.grid import Grid
-from tests.io.made_files import refused
+from tests.made_files import refused
 from tests.mavlink import mission_reader
-from tests.paths.volumes import made_path
+from tests.volumes import made_path
 
 LON, LAT = 8.5456, 47.3977  # home
 STEP = 0.001

@@ -15,7 +15,7 @@ from jaxurban.viewer.markup import number
 from jaxurban.viewer.requests import Plan, parse
 from jaxurban.viewer.viewer import TOTALS, Viewer
 from tests.made_maps import made_maps
-from tests.paths.volumes import ends_at
+from tests.volumes import ends_at
 
 FINE_M = 0.05
 NUM_ROUTES = 10

@@ -12,7 +12,7 @@ import jaxurban as ju
 from jaxurban.cli.main import main
 from jaxurban.io.zone import Zone
 from jaxurban.maps.run import run_scenario
-from tests.paths.volumes import ends_at
+from tests.volumes import ends_at
 
 ALTITUDE_M = 60.0
 TAKEOFF, WAYPOINT, LAND = 22, 16, 21

@@ -11,7 +11,7 @@ from jaxurban.paths.elevation import Elevation
 from jaxurban.viewer.requests import Cell, View
 from jaxurban.viewer.viewer import Viewer
 from tests.made_maps import made_maps
-from tests.paths.volumes import with_roofs
+from tests.volumes import with_roofs
 
 SIDE_M = 5.0
 CLEARANCES = [(0.0, 0.0), (0.0, 3.0), (2.0, 3.0), (5.0, 4.0), (13.0, 3.0)]

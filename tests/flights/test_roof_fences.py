@@ -16,7 +16,7 @@ from jaxurban.world.footprints import Footprints, HeightOrigin
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.mavlink import EXCLUSION, mission_reader
-from tests.paths.volumes import made_path, options_of, with_roofs
+from tests.volumes import made_path, options_of, with_roofs
 
 Z_M, OVER_M = 20.0, 3.0
 

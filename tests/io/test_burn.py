@@ -26,7 +26,7 @@ from jaxurban.world.extent import polygonal
 from jaxurban.world.footprints import HeightOrigin
 from jaxurban.world.surface import PER_CELL, obstacles_on
 from tests.hanging_city import CRS, DECK, SIDE_M, X_M, Y_M, city
-from tests.io.made_files import line, osm, write_vector
+from tests.made_files import line, osm, write_vector
 
 OUTER = (900_000, 110_000, 40, 40)  # first row and column, rows, columns
 BORDERS = ju.Grid(CRS, 1.0, 0, 0, 40, 40)

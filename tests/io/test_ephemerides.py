@@ -15,8 +15,8 @@ from jaxurban.io.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.maps.build import view_sky
 from jaxurban.world.grid import Grid
 from tests.guess_records import by_name
-from tests.io.made_files import refused
 from tests.io.test_orbits import TLE
+from tests.made_files import refused
 from tests.receivers.test_rinex import (
     NAV,
     TOE_S,

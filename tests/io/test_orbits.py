@@ -19,7 +19,7 @@ from jaxurban.io.nominal import GPS, nominal_satellites
 from jaxurban.io.orbits import NO_SATELLITE, look_angles, matching, middle_epoch, read_orbits
 from jaxurban.settings import parse_time
 from jaxurban.world.sky import Sky
-from tests.io.made_files import refused
+from tests.made_files import refused
 
 LON_DEG, LAT_DEG = -74.0, 40.715
 TIMESCALE = load.timescale(builtin=True)

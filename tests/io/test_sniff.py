@@ -30,7 +30,7 @@ from jaxurban.io.issues import ReadIssue
 from jaxurban.io.sniff import sniff, unpacked
 from jaxurban.world.grid import box_of
 from tests.cli_runs import assert_one_sentence, run
-from tests.io.made_files import LAT, LON, SQUARE, UTM, WGS84, node, osm, refused, relation, way
+from tests.made_files import LAT, LON, SQUARE, UTM, WGS84, node, osm, refused, relation, way
 
 SHIFTED = shapely.affinity.translate(SQUARE, 0.002)
 SQUARES = [SQUARE, SHIFTED]

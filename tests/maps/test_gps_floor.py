@@ -10,6 +10,8 @@ import xarray as xr
 from matplotlib.text import Text
 
 import jaxurban as ju
+from jaxurban.draw.metrics import precise_percent
+from jaxurban.draw.paths import maps_figures
 from jaxurban.errors import InputError
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.params import MapParams
@@ -17,8 +19,6 @@ from jaxurban.maps.shared import OneMap
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps_floor import METRIC, GpsFloor
 from jaxurban.plot import plot_metric
-from jaxurban.report.figures.metrics import precise_percent
-from jaxurban.report.figures.paths import maps_figures
 from jaxurban.viewer.layers import layers_of, legend_of
 from tests import hanging_city
 from tests.tiled_runs import city as tiled_city

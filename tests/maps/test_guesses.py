@@ -26,8 +26,8 @@ from jaxurban.world.blocks import Blocks, Zoning
 from jaxurban.world.grid import Grid, transformer
 from tests.cli_runs import run
 from tests.guess_records import FLAT, by_name
-from tests.io.made_files import UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
 from tests.io.test_orbits import walker_tle
+from tests.made_files import UTM, WGS84, X, Y, box, north_up, write_raster, write_vector
 
 BOUNDS = tuple(transformer(UTM, WGS84).transform_bounds(*box(5, 5, 395, 395).bounds))
 

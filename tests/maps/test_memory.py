@@ -40,7 +40,7 @@ from jaxurban.progress import Report
 from jaxurban.world.raster import Raster
 from jaxurban.world.sky import Sky
 from tests import tiled_runs
-from tests.io.made_files import WGS84, write_raster, write_vector
+from tests.made_files import WGS84, write_raster, write_vector
 
 GIB = 2**30
 

@@ -13,7 +13,7 @@ from jaxurban.paths import snapping
 from jaxurban.paths.queries import IN_METRES
 from jaxurban.planners.base import Status, islands_of
 from tests.made_maps import city_of_boxes
-from tests.paths.volumes import plan_volume
+from tests.volumes import plan_volume
 
 X_M, Y_M = 500_000.0, 4_500_000.0  # southwest corner of the region
 ENDS = {"start_xy_m": (X_M + 102.5, Y_M + 12.5), "goal_xy_m": (X_M + 102.5, Y_M + 187.5)}

@@ -23,7 +23,7 @@ from jaxurban.world.grid import Grid
 from tests import tiled_runs
 from tests.cli_runs import TOWN
 from tests.guess_records import by_name
-from tests.io.made_files import write_raster
+from tests.made_files import write_raster
 
 REACH_M = 60.0
 

@@ -13,7 +13,7 @@ from jaxurban.flights.export.write import FORMATS
 from tests.cli_runs import run
 from tests.guess_records import NOMINAL, attribute, heights
 from tests.made_maps import made_maps
-from tests.paths.volumes import ends_at, options_of, plan_volume, with_roofs
+from tests.volumes import ends_at, options_of, plan_volume, with_roofs
 
 ALTITUDE_M, ROW = 20.0, 20
 

@@ -13,14 +13,14 @@ from scipy.ndimage import label
 import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.cli.main import app
+from jaxurban.draw.frame import rules_said
 from jaxurban.io.zone import cell_boxes, touched_cells
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.paths.clearance import closing_step_m, distance_to_obstacles_m, kept_m
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.report.figures.frame import rules_said
 from tests.made_maps import made_maps
-from tests.paths.volumes import ends_at, plan_volume, with_roofs
+from tests.volumes import ends_at, plan_volume, with_roofs
 
 SIDE_M, ALTITUDE_M = 5.0, 20.0
 KEPT = {"clearance_m": 7.0, "vertical_clearance_m": 4.0}

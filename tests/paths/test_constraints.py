@@ -16,7 +16,7 @@ from jaxurban.planners.base import Status
 from jaxurban.studies.queries import make_queries
 from tests.cli_runs import run
 from tests.made_maps import made_maps, missing_inside
-from tests.paths.volumes import REGION, ends_at, options_of, plan_volume, with_roofs
+from tests.volumes import REGION, ends_at, options_of, plan_volume, with_roofs
 
 ALTITUDE_M, SIDE = 20.0, 30
 START_CELL, GOAL_CELL = (15, 6), (15, 27)

@@ -20,8 +20,8 @@ from jaxurban.io.store import write_zarr
 from jaxurban.studies.montecarlo.trial import Benchmark
 from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.paths.volumes import REGION, with_roofs
 from tests.studies.routes_made import write_geojson
+from tests.volumes import REGION, with_roofs
 
 ALTITUDE_M = 20.0
 WEIGHTS = ju.Weights(distance=0.05, gps=1.0, lidar=0.5, population=0.7, risk=1.3)

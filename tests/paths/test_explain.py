@@ -13,6 +13,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.patches import StepPatch
 
 import jaxurban as ju
+from jaxurban.draw.profile import NO_FIX_COLOUR
 from jaxurban.io.zone import cell_boxes
 from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.metrics.registry import METRICS
@@ -22,12 +23,11 @@ from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
 from jaxurban.paths.steps import between
 from jaxurban.planners.cost import path_states
 from jaxurban.plot import plot_profile, save_profile
-from jaxurban.report.figures.profile import NO_FIX_COLOUR
 from jaxurban.viewer.markup import profile as profile_html
 from jaxurban.world.kinds import CODES
 from tests.cli_runs import run
 from tests.made_maps import missing_inside
-from tests.paths.volumes import WEIGHTS, options_of
+from tests.volumes import WEIGHTS, options_of
 
 pytestmark = pytest.mark.usefixtures("without_layout")
 ALTITUDE_M = 20.0

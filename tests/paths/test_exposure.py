@@ -10,7 +10,7 @@ import jaxurban as ju
 from jaxurban.kernels.line.traversal import crossed_cells
 from jaxurban.planners.base import Status
 from tests.cli_runs import run
-from tests.paths.volumes import options_of
+from tests.volumes import options_of
 
 Z_M, DISTANCE = 20.0, {"distance": 1.0, "gps": 0.0, "lidar": 0.0, "population": 0.0, "risk": 0.0}
 

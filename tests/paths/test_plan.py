@@ -8,10 +8,10 @@ import pytest
 
 import jaxurban as ju
 from jaxurban import progress
+from jaxurban.draw.metrics import obstacle_layer
 from jaxurban.planners.base import EVERY_PATH, Status
 from jaxurban.planners.corners import corner_bound
-from jaxurban.report.figures.metrics import obstacle_layer
-from tests.paths.volumes import WEIGHTS
+from tests.volumes import WEIGHTS
 
 NOTHING = ju.Weights(**dict.fromkeys(WEIGHTS.to_dict(), 0.0))
 VOLUME = ju.Levels(climb_cost=0.3, descent_cost=0.1)

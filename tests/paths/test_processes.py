@@ -16,7 +16,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.cli.main import main
 from jaxurban.programs import SENTENCE
-from tests.paths.volumes import ends_at, options_of
+from tests.volumes import ends_at, options_of
 
 CACHES = ("NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
 BUDGET_S = 1.0

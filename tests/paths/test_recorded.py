@@ -16,7 +16,7 @@ from jaxurban.settings import Planning, Rules
 from jaxurban.viewer.plans import Plans
 from tests.cli_runs import TOWN, run
 from tests.made_maps import made_maps, maps_of_kinds
-from tests.paths.volumes import options_of
+from tests.volumes import options_of
 
 ALTITUDE_M = 20.0
 MADE = made_maps(40, 60)

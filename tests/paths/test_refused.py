@@ -16,7 +16,7 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.studies.queries import make_queries
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
-from tests.paths.volumes import REGION, options_of, plan_volume
+from tests.volumes import REGION, options_of, plan_volume
 
 Z_M, NAN = 20.0, float("nan")
 PLACE = (-73.97, 40.78)

@@ -14,7 +14,7 @@ from jaxurban.planners.base import Status
 from tests.cli_runs import run
 from tests.free_space import Obstacles
 from tests.made_maps import made_maps
-from tests.paths.volumes import WEIGHTS, options_of
+from tests.volumes import WEIGHTS, options_of
 
 ALTITUDE_M = 20.0
 

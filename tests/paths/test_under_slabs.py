@@ -13,8 +13,8 @@ from jaxurban.paths.clearance import closed_by_clearance
 from jaxurban.settings import TO_GROUND
 from jaxurban.world.grid import Grid
 from tests.hanging_city import CRS, DECK, DECK_TOP_M, HANGING, STANDING, X_M, Y_M, city
-from tests.paths.volumes import plan_volume
 from tests.tiled_runs import sky
+from tests.volumes import plan_volume
 
 REGION = Grid(CRS, 10.0, int(Y_M // 10) + 2, int(X_M // 10) + 2, 54, 56)
 ALTITUDES_M = (5.0, 13.0, 20.0)

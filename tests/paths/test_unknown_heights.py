@@ -12,7 +12,7 @@ from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.surface import obstacles_on
 from tests.flights.test_judged_flight import WAYPOINT, World, checked
 from tests.made_maps import city_of_boxes, made_maps
-from tests.paths.volumes import ends_at
+from tests.volumes import ends_at
 
 SIDE_M, CELL_M = 600.0, 5.0
 ALTITUDES_M = (10.0, 20.0, 40.0, 60.0, 200.0)

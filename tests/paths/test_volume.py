@@ -12,7 +12,7 @@ from jaxurban.io.zone import Zone
 from jaxurban.planners.base import Status
 from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.paths.volumes import WEIGHTS, ends_at, options_of, plan_volume
+from tests.volumes import WEIGHTS, ends_at, options_of, plan_volume
 
 
 @pytest.fixture(scope="module")

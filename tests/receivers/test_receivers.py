@@ -13,7 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.receivers.log_files import read_log
 from jaxurban.receivers.validation.logs import read_receiver_log, table_log
 from jaxurban.receivers.validation.rinex import with_navigation
-from tests.io.made_files import refused
+from tests.made_files import refused
 
 KEYS = ["utc", "satellite"]
 LEAP_S = 18

@@ -6,7 +6,7 @@ import pytest
 from matplotlib.text import Text
 
 import jaxurban as ju
-from jaxurban.report.figures.style import difference_colours
+from jaxurban.draw.style import difference_colours
 from jaxurban.studies.reports.map_comparison import (
     comparison_markdown,
     comparison_outputs,

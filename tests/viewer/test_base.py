@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import shapely
 
+from jaxurban.draw.metrics import metric_colours
 from jaxurban.io.geoparquet import write_geoparquet
-from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.viewer.html import write_page
 from jaxurban.viewer.layers import POSITION_ERROR, RANGE_ERROR_M
 from jaxurban.viewer.viewer import Viewer

@@ -9,11 +9,11 @@ import time
 import numpy as np
 import pytest
 
+from jaxurban.draw.metrics import metric_colours
 from jaxurban.flights.export.write import FORMATS
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.saving import open_maps
 from jaxurban.maps.scenario import Scenario
-from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.viewer.html import part, write_page
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to

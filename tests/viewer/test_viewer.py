@@ -16,6 +16,8 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.draw.metrics import metric_colours
+from jaxurban.draw.profile import ALTITUDE_COLOUR
 from jaxurban.errors import InputError
 from jaxurban.flights.export.write import FORMATS
 from jaxurban.io.files import write_json
@@ -23,8 +25,6 @@ from jaxurban.maps.run import run_scenario
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.paths.closed import CAUSES, causes_at
-from jaxurban.report.figures.metrics import metric_colours
-from jaxurban.report.figures.profile import ALTITUDE_COLOUR
 from jaxurban.viewer.html import part, write_page
 from jaxurban.viewer.layers import layers_of, legend_of
 from jaxurban.viewer.markup import number

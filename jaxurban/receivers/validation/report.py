@@ -5,12 +5,7 @@ import math
 
 import pandas as pd
 
-from jaxurban.io.tracks import CN0, LAT, LON, SATELLITE, UTC
-from jaxurban.maps.levels import listed_m
-from jaxurban.receivers.report import HEADS, ROWS, satellite_figures
-from jaxurban.receivers.validation.logs import EPOCH
-from jaxurban.receivers.validation.validate import ReceiverValidation
-from jaxurban.report.write import (
+from jaxurban.draw.write import (
     Written,
     bullets,
     fill,
@@ -20,6 +15,11 @@ from jaxurban.report.write import (
     table,
     without_ends,
 )
+from jaxurban.io.tracks import CN0, LAT, LON, SATELLITE, UTC
+from jaxurban.maps.levels import listed_m
+from jaxurban.receivers.report import HEADS, ROWS, satellite_figures
+from jaxurban.receivers.validation.logs import EPOCH
+from jaxurban.receivers.validation.validate import ReceiverValidation
 from jaxurban.settings import as_tuple
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 

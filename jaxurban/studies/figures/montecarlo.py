@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Stroke
 from matplotlib.ticker import MaxNLocator
 
-from jaxurban.report.figures.paths import planner_colours
-from jaxurban.report.figures.style import panels, show_shares, step_up, styled
-from jaxurban.report.write import Figures
+from jaxurban.draw.paths import planner_colours
+from jaxurban.draw.style import panels, show_shares, step_up, styled
+from jaxurban.draw.write import Figures
 from jaxurban.studies.montecarlo.analysis import weighted_rows
 
 CURVES_APART_PT = 1.5

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from jaxurban.report.figures.frame import (
+from jaxurban.draw.frame import (
     BLOCKED_COLOUR,
     ENDS,
     HALO,
@@ -26,15 +26,15 @@ from jaxurban.report.figures.frame import (
     joined,
     rules_said,
 )
-from jaxurban.report.figures.metrics import line_colour, obstacle_patches
-from jaxurban.report.figures.paths import (
+from jaxurban.draw.metrics import line_colour, obstacle_patches
+from jaxurban.draw.paths import (
     EDGE_PT,
     CostChoice,
     closed_at,
     cost_layers,
     draw_ends,
 )
-from jaxurban.report.figures.style import (
+from jaxurban.draw.style import (
     FAINT_INK,
     INK,
     MARKERS,
@@ -49,7 +49,7 @@ from jaxurban.report.figures.style import (
     show_plain_log,
     styled,
 )
-from jaxurban.report.write import Figures, Look, joined_with_and
+from jaxurban.draw.write import Figures, Look, joined_with_and
 from jaxurban.studies.decided import edge_band, is_at_edge
 from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.summary import ALL

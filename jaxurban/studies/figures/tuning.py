@@ -6,8 +6,7 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from jaxurban.paths.cost_map import CostMap
-from jaxurban.report.figures.frame import (
+from jaxurban.draw.frame import (
     BLOCKED_COLOUR,
     ENDS,
     DrawnMap,
@@ -18,9 +17,10 @@ from jaxurban.report.figures.frame import (
     mark_ends,
     rules_said,
 )
-from jaxurban.report.figures.metrics import line_colour, obstacle_layer, obstacle_patches
-from jaxurban.report.figures.paths import BESIDE, draw_lines
-from jaxurban.report.figures.style import Colours, dots, name_rows, panels, show_plain_log, styled
+from jaxurban.draw.metrics import line_colour, obstacle_layer, obstacle_patches
+from jaxurban.draw.paths import BESIDE, draw_lines
+from jaxurban.draw.style import Colours, dots, name_rows, panels, show_plain_log, styled
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
 

@@ -9,9 +9,7 @@ import shapely
 from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
-from jaxurban.io.city import City
-from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.frame import (
+from jaxurban.draw.frame import (
     ENDS,
     MapPanel,
     draw_maps,
@@ -20,8 +18,10 @@ from jaxurban.report.figures.frame import (
     rules_said,
     time_said,
 )
-from jaxurban.report.figures.paths import draw_ends
-from jaxurban.report.figures.style import Colours
+from jaxurban.draw.paths import draw_ends
+from jaxurban.draw.style import Colours
+from jaxurban.io.city import City
+from jaxurban.paths.path import PlannedPath
 from jaxurban.world.grid import Grid, covering_grid
 
 ROUTE_COLOUR, LAND_COLOUR = "#111111", "#d9d9d9"

@@ -6,8 +6,7 @@ from zlib import crc32
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxurban.metrics.base import TIME
-from jaxurban.report.figures.frame import (
+from jaxurban.draw.frame import (
     OBSTACLE_COLOUR,
     DrawnMap,
     MapPanel,
@@ -17,8 +16,8 @@ from jaxurban.report.figures.frame import (
     joined,
     time_said,
 )
-from jaxurban.report.figures.style import difference_colours
-from jaxurban.report.write import (
+from jaxurban.draw.style import difference_colours
+from jaxurban.draw.write import (
     Figures,
     Markdown,
     Written,
@@ -28,6 +27,7 @@ from jaxurban.report.write import (
     plain,
     study_outputs,
 )
+from jaxurban.metrics.base import TIME
 from jaxurban.studies.map_comparison import MapComparison
 
 

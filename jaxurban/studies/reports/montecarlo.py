@@ -6,10 +6,10 @@ from functools import partial
 import pandas as pd
 from matplotlib.figure import Figure
 
+from jaxurban.draw.paths import plot_paths
+from jaxurban.draw.write import Written, fill, first_lines, joined_with_and, study_outputs
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
-from jaxurban.report.figures.paths import plot_paths
-from jaxurban.report.write import Written, fill, first_lines, joined_with_and, study_outputs
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.decided import FEWEST_RUNS
 from jaxurban.studies.figures.montecarlo import study_figures

@@ -7,12 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.weights import Weights
-from jaxurban.paths.queries import WEIGHT_PREFIX
-from jaxurban.paths.rows import HAS_PATH
-from jaxurban.public import FactsRepr
-from jaxurban.report.write import (
+from jaxurban.draw.write import (
     REPORT_FILE,
     Figures,
     Markdown,
@@ -25,6 +20,11 @@ from jaxurban.report.write import (
     save,
     study_outputs,
 )
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.weights import Weights
+from jaxurban.paths.queries import WEIGHT_PREFIX
+from jaxurban.paths.rows import HAS_PATH
+from jaxurban.public import FactsRepr
 from jaxurban.statistics.bootstrap import interval_columns
 from jaxurban.statistics.conclusions import Conclusion, concluded
 from jaxurban.studies.decided import wider_bounds

@@ -9,14 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from jaxurban.errors import InputError
-from jaxurban.io.tables import SUFFIXES
-from jaxurban.io.workspace import Workspace
-from jaxurban.metrics.weights import Weights, check_held
-from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.rows import MapsFolder
-from jaxurban.progress import reporting
-from jaxurban.report.write import (
+from jaxurban.draw.write import (
     REPORT_FILE,
     Markdown,
     Outputs,
@@ -28,6 +21,13 @@ from jaxurban.report.write import (
     paragraphs,
     save,
 )
+from jaxurban.errors import InputError
+from jaxurban.io.tables import SUFFIXES
+from jaxurban.io.workspace import Workspace
+from jaxurban.metrics.weights import Weights, check_held
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.rows import MapsFolder
+from jaxurban.progress import reporting
 from jaxurban.studies.demonstrations import (
     Demonstration,
     compared_demonstrations,

@@ -4,10 +4,8 @@ import math
 
 from matplotlib.figure import Figure
 
-from jaxurban.maps.metric_maps import MapsLike, as_maps
-from jaxurban.paths.when import Departures
-from jaxurban.report.figures.frame import frame_note, joined
-from jaxurban.report.figures.style import (
+from jaxurban.draw.frame import frame_note, joined
+from jaxurban.draw.style import (
     SERIES_COLOURS,
     Width,
     chart,
@@ -16,6 +14,8 @@ from jaxurban.report.figures.style import (
     letter,
     styled,
 )
+from jaxurban.maps.metric_maps import MapsLike, as_maps
+from jaxurban.paths.when import Departures
 
 MOST_TICKS, HEIGHT_IN = 8, 3.0
 WIDTHS_PT = 3.2, 2.0, *(1.2,) * 5  # of the lines

@@ -12,13 +12,6 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
 
-from jaxurban.cli.options import (
-    Names,
-    Numbers,
-    Values,
-    grouped_options,
-    options_together,
-)
 from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
@@ -27,14 +20,21 @@ from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.suffixes import PICTURES
 from jaxurban.progress import LOG, reporting
 from jaxurban.settings import CLEARANCES, ObstacleRule, Planning, Preset
+from jaxurban.terminal.options import (
+    Names,
+    Numbers,
+    Values,
+    grouped_options,
+    options_together,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from jaxurban.draw.write import Output
     from jaxurban.io.results import Result
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.report.write import Output
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
@@ -466,7 +466,7 @@ def run_study(
         result = study(progress=report)
         report("report")
         result.save(output, overwrite)
-    from jaxurban.report.write import REPORT_FILE
+    from jaxurban.draw.write import REPORT_FILE
 
     figures = output / "figures"
     sentence = f"{command} finished: read {output / REPORT_FILE}"
@@ -524,7 +524,7 @@ def write_outputs(
       other: what the others hold.
       cautions: sentences.
     """
-    from jaxurban.report.write import save
+    from jaxurban.draw.write import save
 
     for file in files:
         is_picture = file.suffix.lower() in PICTURES

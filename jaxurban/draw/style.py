@@ -30,8 +30,8 @@ from matplotlib.ticker import (
 )
 from matplotlib.transforms import Bbox
 
+from jaxurban.draw.write import DPI, Look
 from jaxurban.errors import InputError
-from jaxurban.report.write import DPI, Look
 
 SMALL_PT, TEXT_PT, HEADING_PT = 7.0, 8.0, 10.0  # of tick labels and notes; of titles
 # One column and two of a journal, by the IEEE Author Center's "Size Requirements for Graphics".

@@ -10,23 +10,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize, 
 from matplotlib.figure import Figure
 
 from jaxurban.checks import one_of
-from jaxurban.errors import InputError
-from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
-from jaxurban.metrics.custom import colour_of, held_variables, is_of_sky
-from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
-from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.variables import (
-    BUILT_COLOUR,
-    FREE_COLOUR,
-    GROUP_COLOURS,
-    GROUP_NUMBERS,
-    ROOF_KIND,
-    derived,
-    stored_name,
-)
-from jaxurban.paths.closed import obstacles_at
-from jaxurban.report.figures.frame import (
+from jaxurban.draw.frame import (
     CLOSED,
     GUESSED_ROOF_COLOUR,
     NO_DATA_PATCH,
@@ -43,7 +27,23 @@ from jaxurban.report.figures.frame import (
     symbol_of,
     varied,
 )
-from jaxurban.report.figures.style import Colours, Width, ends_of
+from jaxurban.draw.style import Colours, Width, ends_of
+from jaxurban.errors import InputError
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
+from jaxurban.metrics.custom import colour_of, held_variables, is_of_sky
+from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.variables import (
+    BUILT_COLOUR,
+    FREE_COLOUR,
+    GROUP_COLOURS,
+    GROUP_NUMBERS,
+    ROOF_KIND,
+    derived,
+    stored_name,
+)
+from jaxurban.paths.closed import obstacles_at
 
 AVAILABILITY, RATED = "gps_availability", "gdop"
 DISTANCE_COLOUR = "#555555"

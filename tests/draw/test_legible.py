@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 import jaxurban as ju
 from benchmarks.receiver.pictures import plot_displacement
 from figures import sky as first_screen
+from jaxurban.draw.style import chart, label_apart, styled
 from jaxurban.receivers.along import SkyAt
 from jaxurban.receivers.figures import plot_sky, sky_places
 from jaxurban.receivers.report import satellite_figures
-from jaxurban.report.figures.style import chart, label_apart, styled
 from tests.benchmarks.made_evidence import made_evidence
 from tests.made_agreement import made
 from tests.pictures import assert_legible

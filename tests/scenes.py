@@ -5,7 +5,7 @@ import pytest
 
 import jaxurban as ju
 from tests.made_maps import made_maps
-from tests.paths.volumes import ends_at
+from tests.volumes import ends_at
 
 
 @pytest.fixture(scope="session")

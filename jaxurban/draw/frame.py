@@ -19,12 +19,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from jaxurban.knowledge import OF_SKY, names_of
-from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.variables import CAVEAT, names_in
-from jaxurban.paths.constraints import describe_clearances, describe_kept
-from jaxurban.report.figures.style import (
+from jaxurban.draw.style import (
     FAINT_INK,
     INK,
     LETTERS_PER_IN,
@@ -44,7 +39,12 @@ from jaxurban.report.figures.style import (
     tick_label,
     wrapped,
 )
-from jaxurban.report.write import Look
+from jaxurban.draw.write import Look
+from jaxurban.knowledge import OF_SKY, names_of
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.variables import CAVEAT, names_in
+from jaxurban.paths.constraints import describe_clearances, describe_kept
 from jaxurban.settings import time_said as time_said
 from jaxurban.world.grid import Grid, crs_said
 
@@ -185,7 +185,7 @@ def draw_maps(
       legend: entries beside the panels.
       colours: of one bar for all panels; left out, each panel whose last layer is none of classes has one below it.
       has_ticks: whether eastings and northings are shown, where no bar is in their place.
-      width: of the figure, see `jaxurban.report.figures.style.inches`.
+      width: of the figure, see `jaxurban.draw.style.inches`.
 
     Returns:
       The figure, and one axes per panel.

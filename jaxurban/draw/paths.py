@@ -14,18 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Stroke, withStroke
 
-from jaxurban.errors import InputError
-from jaxurban.io.workspace import Workspace
-from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.metrics.base import TIME, TIME_OF_DAY
-from jaxurban.metrics.custom import held_metrics
-from jaxurban.metrics.registry import ON_REQUEST
-from jaxurban.metrics.variables import AUXILIARY_VARIABLES
-from jaxurban.paths.closed import OBSTACLE, causes_at, constraints_of
-from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.plan import rules_on
-from jaxurban.planners.base import Status
-from jaxurban.report.figures.frame import (
+from jaxurban.draw.frame import (
     BLOCKED_COLOUR,
     ENDS,
     DrawnMap,
@@ -37,7 +26,7 @@ from jaxurban.report.figures.frame import (
     rules_said,
     time_said,
 )
-from jaxurban.report.figures.metrics import (
+from jaxurban.draw.metrics import (
     AVAILABILITY,
     EMPTY_COLOUR,
     RATED,
@@ -58,8 +47,19 @@ from jaxurban.report.figures.metrics import (
     plot_sensor_choice,
     roof_layers,
 )
-from jaxurban.report.figures.style import Colours, Width
-from jaxurban.report.write import Figures, save
+from jaxurban.draw.style import Colours, Width
+from jaxurban.draw.write import Figures, save
+from jaxurban.errors import InputError
+from jaxurban.io.workspace import Workspace
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.metrics.base import TIME, TIME_OF_DAY
+from jaxurban.metrics.custom import held_metrics
+from jaxurban.metrics.registry import ON_REQUEST
+from jaxurban.metrics.variables import AUXILIARY_VARIABLES
+from jaxurban.paths.closed import OBSTACLE, causes_at, constraints_of
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.plan import rules_on
+from jaxurban.planners.base import Status
 from jaxurban.settings import DEFAULTS
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.

@@ -9,16 +9,16 @@ from matplotlib.figure import Figure
 
 from benchmarks.receiver.pictures import plot_displacement
 from figures import sky
-from jaxurban.report.figures.style import WIDTHS_MM, chart
+from jaxurban.draw.style import WIDTHS_MM, chart
 from tests.benchmarks.made_evidence import made_evidence
+from tests.draw.test_legible import agreement
 from tests.drawn import PICTURES, Case, draw, functions
 from tests.pictures import faults
-from tests.report.test_legible import agreement
 
 SLOW = (
-    "metrics.plot_epochs",
-    "paths.plot_overview",
-    "satellites.plot_skies",
+    "plot_epochs",
+    "plot_overview",
+    "plot_skies",
 )
 
 

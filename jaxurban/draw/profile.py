@@ -7,16 +7,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxurban.maps.metric_maps import MapsLike, as_maps
-from jaxurban.metrics.variables import BUILT_COLOUR, GROUP_COLOURS, ROOF_KIND
-from jaxurban.paths.explain import explain
-from jaxurban.paths.lines import along_of
-from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.profile import without_fix
-from jaxurban.paths.route_report import CLEARANCE, GUESSED, RouteReport
-from jaxurban.paths.suffixes import check_picture
-from jaxurban.report.figures.frame import frame_note, joined
-from jaxurban.report.figures.style import (
+from jaxurban.draw.frame import frame_note, joined
+from jaxurban.draw.style import (
     FAINT_INK,
     SMALL_PT,
     TEXT_PT,
@@ -28,7 +20,15 @@ from jaxurban.report.figures.style import (
     styled,
     tick_label,
 )
-from jaxurban.report.write import Look, save
+from jaxurban.draw.write import Look, save
+from jaxurban.maps.metric_maps import MapsLike, as_maps
+from jaxurban.metrics.variables import BUILT_COLOUR, GROUP_COLOURS, ROOF_KIND
+from jaxurban.paths.explain import explain
+from jaxurban.paths.lines import along_of
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.profile import without_fix
+from jaxurban.paths.route_report import CLEARANCE, GUESSED, RouteReport
+from jaxurban.paths.suffixes import check_picture
 from jaxurban.world.kinds import GROUPS
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"

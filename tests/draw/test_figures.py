@@ -21,16 +21,9 @@ from PIL import Image
 
 import jaxurban as ju
 from jaxurban import plot as plotting
-from jaxurban.errors import InputError
-from jaxurban.knowledge import Guess, GuessKind
-from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.variables import FREE_COLOUR, GROUP_COLOURS
-from jaxurban.paths.path import PlannedPath
-from jaxurban.planners.base import Status
-from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer
-from jaxurban.report.figures.metrics import obstacle_patches, precise_percent
-from jaxurban.report.figures.paths import (
+from jaxurban.draw.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer
+from jaxurban.draw.metrics import obstacle_patches, precise_percent
+from jaxurban.draw.paths import (
     LINE_PT,
     PLANNER_COLOURS,
     CostChoice,
@@ -38,13 +31,20 @@ from jaxurban.report.figures.paths import (
     maps_figures,
     side_by_side,
 )
-from jaxurban.report.figures.style import chart, wrapped
-from jaxurban.report.write import DPI, write_picture
+from jaxurban.draw.style import chart, wrapped
+from jaxurban.draw.write import DPI, write_picture
+from jaxurban.errors import InputError
+from jaxurban.knowledge import Guess, GuessKind
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.variables import FREE_COLOUR, GROUP_COLOURS
+from jaxurban.paths.path import PlannedPath
+from jaxurban.planners.base import Status
 from jaxurban.world.kinds import EFFECTS, GROUPS
 from tests.guess_records import NOMINAL, attribute, heights
 from tests.made_maps import made_maps, maps_of_kinds
-from tests.paths.volumes import made_path
 from tests.pictures import assert_legible, drawn_texts
+from tests.volumes import made_path
 
 pytestmark = pytest.mark.usefixtures("without_layout")
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)

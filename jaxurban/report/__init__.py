@@ -1,1 +1,0 @@
-"""What is written and drawn of maps and studies."""

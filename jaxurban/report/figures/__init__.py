@@ -1,1 +1,0 @@
-"""Pictures, by subject; `jaxurban.plot` names those that users call."""
