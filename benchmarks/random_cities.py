@@ -4,8 +4,8 @@
 OpenStreetMap's XML, GeoJSON, GeoPackage, Shapefile and GeoParquet, in the ways that tools and offices write them, and
 flies through, beside, over and away from what stands. It prints tables by format, by style and by edit: flights that
 meet something, that are free, false Clean and invented findings, and what OGR confirms of the first cities.
-``--against`` also prints the flights of which another checkout says something else. ``tests/cities/generator`` holds the
-cities and the judge.
+``--against`` also prints the flights of which another checkout says something else. ``tests/cities/generator`` holds
+the cities and the judge.
 """
 
 import argparse

@@ -67,9 +67,11 @@ def functions() -> dict[str, Callable[..., Figure]]:
         if not DRAWS.search(found_module.name):
             continue
         module: ModuleType = importlib.import_module(found_module.name)
-        for name, function in inspect.getmembers(module, inspect.isfunction):
-            if name.startswith("plot_") and function.__module__ == module.__name__:
-                drawn[name] = function
+        drawn |= {
+            name: function
+            for name, function in inspect.getmembers(module, inspect.isfunction)
+            if name.startswith("plot_") and function.__module__ == module.__name__
+        }
     return drawn
 
 

@@ -196,8 +196,8 @@ def validate(
       settings: how the two are set beside each other.
       navigation: of such a file the satellites' orbits, broadcast RINEX or what ``[gps] orbits`` takes; they add the
         satellites that the receiver did not hear. Left out, NMEA's own directions, else the scenario's orbits.
-      reference: places of the antenna, as a table or its file (`jaxurban.receivers.log_files.read_reference`); left out,
-        those of the log.
+      reference: places of the antenna, as a table or its file (`jaxurban.receivers.log_files.read_reference`); left
+        out, those of the log.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
     Returns:
