@@ -28,6 +28,8 @@ from scipy.sparse.csgraph import connected_components
 from benchmarks.common import ROOT, table
 
 SOURCES = ("jaxurban", "kernels", "planners")
+WINGS = ("cities", "flights", "receivers", "studies", "draw", "terminal")
+ABOVE = ("viewer", "cli", "__main__.py", "plot.py")  # may know all
 OTHERS = ("tests", "benchmarks", "figures", "notebooks")
 TEXTS = (
     ".pyi",
@@ -60,6 +62,15 @@ def files_of(checkout: Path, tops: tuple[str, ...], suffix: str) -> Iterator[Pat
         for folder, _, names in os.walk(checkout / top):
             files = (Path(folder, name) for name in names if Path(name).suffix == suffix)
             yield from sorted(file for file in files if not file.is_symlink())
+
+
+def part_of(file: str) -> str:
+    """Return the part of the package that a source belongs to, by its path in the checkout."""
+    top, _, name = file.partition("/")
+    name = name.partition("/")[0]
+    if top != "jaxurban" or name not in (*WINGS, *ABOVE):
+        return "core"
+    return name if name in WINGS else "viewer and commands"
 
 
 def code_lines_and_tokens(text: str) -> tuple[set[int], int]:
