@@ -241,7 +241,7 @@ def pipeline(run: Run) -> None:
         skies = jax.tree.map(lambda values: jnp.asarray(values)[None], sky)
 
         def maps(at: tuple = (inputs, skies)) -> dict[str, jax.Array]:
-            return region_maps(*at, keeps_times=True)[0]
+            return region_maps(*at, keeps_times=True)
 
         units = surface.roof_m.size * len(ALTITUDES_M)
         name = f"all maps, {resolution_m:g} m"

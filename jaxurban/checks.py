@@ -7,7 +7,7 @@ import numbers
 import os
 import re
 import types
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from itertools import chain
@@ -134,6 +134,26 @@ def values_given(values: Mapping[str, Any]) -> dict[str, Any]:
 def positive(name: str, value: Any, unit: str | None = None) -> float:
     """Return a number that must be above 0, as a float (see `finite`)."""
     return finite(name, value, unit, least=0, called="positive")
+
+
+def different_lengths(name: str, values: Iterable[float]) -> tuple[float, ...]:
+    """Return lengths in metres as a tuple, once they are checked.
+
+    Args:
+      name: of the setting that holds them, for the message.
+      values: the lengths.
+
+    Raises:
+      InputError: there is none, one is not positive, or two are the same in the name of a file.
+    """
+    lengths_m = tuple(positive(name, value) for value in values)
+    if not lengths_m:
+        raise InputError(f"{name} is empty: name at least one length in metres")
+    if len({f"{value:g}" for value in lengths_m}) < len(lengths_m):
+        raise InputError(
+            f"{name} names a value twice (file names carry six digits), got {[*lengths_m]}"
+        )
+    return lengths_m
 
 
 def at_least(name: str, value: Any, least: int = 0) -> int:
@@ -277,40 +297,11 @@ def _hints(function: Callable) -> dict[str, Any]:
     return {name: hints[name] for name in parameters if name in hints}
 
 
-class _Maker(NamedTuple):
-    """A public function or class that makes an argument of a call, or the function that is called itself.
-
-    Attributes:
-      function: the maker.
-      argument: that it makes; ``""`` for the function that is called.
-      call: text of the call, such as ``"gps=Gps({})"``, with ``{}`` where the maker's own arguments stand.
-    """
-
-    function: Callable
-    argument: str
-    call: str
-
-
-def _makers_of(hint: Any, argument: str, call: str) -> Iterator[tuple[str, _Maker]]:
-    """Yield the kinds of an argument that have a public maker, in lower case, and the makers.
-
-    Args:
-      hint: of the argument; of a union each kind is looked at.
-      argument: its name.
-      call: text of the call that takes the argument, with ``{}`` where it stands.
-    """
-    for kind in map(_name_of, (hint, *get_args(hint))):
-        name = re.split(" or |,", MADE_BY.get(kind, kind))[0]  # the first maker that the text names
-        with suppress(KeyError):  # no public name: the kind has no maker
-            maker = find_public(name)
-            yield kind.lower(), _Maker(maker, argument, call.format(f"{argument}={name}({{}})"))
-
-
 def _home_of(name: str, function: Callable) -> str:
     """Return the end of a message on an argument that a function does not take: what is meant, or what it takes.
 
     Such as ``" (did you mean 'time'?)"``, or ``" (give gps=Gps(mask_deg=...))"`` where it is an argument of what makes
-    an argument. Both are found with or without their units, and after the name of what is made (``gps_mask``).
+    an argument.
 
     Args:
       name: the wrong argument.
@@ -318,21 +309,14 @@ def _home_of(name: str, function: Callable) -> str:
     """
     own = [each for each in inspect.signature(function).parameters if each not in ("self", "cls")]
 
-    # The remedy for each spelling of an argument: the argument where it is the function's own, else the call of a maker
-    # with the argument in it. The list of makers grows while it is walked through, so that nearer makers come first.
+    # The remedy for each argument: itself where it is the function's own, else the call of a maker with it.
     remedies = {each: each for each in own}
-    makers = [_Maker(function, "", "{}")]
-    for maker in makers:
-        for argument, hint in _hints(maker.function).items():
-            remedy = maker.call.format(f"{argument}=...") if maker.argument else argument
-            bare = re.sub("_(m|s|m_s|deg|w)$", "", argument)  # without its unit
-            of_made = f"{maker.argument}_{argument}", f"{maker.argument}_{bare}"
-            for spelling in (argument, bare, *of_made):
-                remedies.setdefault(spelling, remedy)
-            for kind, made_by in _makers_of(hint, argument, maker.call):
-                if made_by.function not in [each.function for each in makers]:
-                    makers.append(made_by)
-                    remedies.setdefault(kind, made_by.call.format("..."))
+    for argument, hint in _hints(function).items():
+        for kind in map(_name_of, (hint, *get_args(hint))):
+            maker = re.split(" or |,", MADE_BY.get(kind, kind))[0]  # the first that the text names
+            with suppress(KeyError):  # no public name: the kind has no maker
+                for inner in _hints(find_public(maker)):
+                    remedies.setdefault(inner, f"{argument}={maker}({inner}=...)")
 
     # An own argument that hardly differs from the name comes first, then one of a maker that hardly differs, and last
     # an own argument that merely resembles it.
@@ -501,8 +485,3 @@ KINDS: dict[Any, ArgumentKind] = {
     Mapping: ArgumentKind("a dict", lambda value: isinstance(value, Mapping)),
     Callable: ArgumentKind("a function", callable),
 }
-
-
-def as_text(*hints: Any) -> None:
-    """Let `typed` take any text for hints of names, where another place says more of a wrong one."""
-    KINDS.update(dict.fromkeys(hints, KINDS[str]))

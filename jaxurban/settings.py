@@ -9,9 +9,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from jaxurban.checks import as_text, at_least, finite, positive, typed, values_given
+from jaxurban.checks import at_least, finite, positive, typed, values_given
 from jaxurban.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,18 +51,6 @@ OnGround = bool | Literal["goal"]  # which ends of a path must be free down to t
 SampleName = Literal["lower-manhattan", "shinjuku", "nihonbashi"]
 
 
-@dataclass(frozen=True)
-class AsText:
-    """Beside a set of names in a model of a scenario: pydantic takes any text, as `typed` does."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Return pydantic's schema of any text."""
-        return handler(str)
-
-
-PlannerText = Annotated[PlannerName, AsText()]
-# `typed` takes any text for these: what looks a name up says more of a wrong one, such as which planner takes it.
-as_text(PlannerName, HeuristicName, MissionEnd, SampleName)
 CLEARANCES = ("clearance_m", "vertical_clearance_m")
 NOMINAL = "nominal"  # GPS satellites without a file of elements
 FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262
@@ -268,10 +256,8 @@ class Buildings(Heights):
             raise InputError(
                 "height_column and unit go together, and ground_column only with them: give both, or none of the three"
             )
-        highest_m = self.highest_m
-        if not isinstance(highest_m, Mapping):
-            highest_m = values_given({"building": highest_m})
-        heights_m = {f"highest_m of {kind!r}": height_m for kind, height_m in highest_m.items()}
+        highest_m = _by_kind(self).items()
+        heights_m = {f"highest_m of {kind!r}": height_m for kind, height_m in highest_m}
         for name in ("default_height_m", "level_height_m"):
             heights_m[name] = getattr(self, name)
         for name, height_m in values_given(heights_m).items():
@@ -281,12 +267,15 @@ class Buildings(Heights):
                 )
 
 
+def _by_kind(heights: Heights | None) -> Mapping[str, float]:
+    """Return ``highest_m`` of settings by kind; empty where nothing is said."""
+    highest_m = getattr(heights, "highest_m", None)
+    return highest_m if isinstance(highest_m, Mapping) else values_given({"building": highest_m})
+
+
 def highest_of(heights: Heights | None, kind: str) -> float:
     """Return what the user says that nothing of a kind exceeds, metres above the ground; inf where he says nothing."""
-    highest_m = getattr(heights, "highest_m", None)
-    if not isinstance(highest_m, Mapping):
-        highest_m = values_given({"building": highest_m})
-    return highest_m.get(kind, math.inf)
+    return _by_kind(heights).get(kind, math.inf)
 
 
 @typed
@@ -380,7 +369,7 @@ class Planning:
     """
 
     preset: Preset = ""
-    planner: PlannerText = "astar"
+    planner: PlannerName = "astar"
     cost_model: CostKind | None = None
     obstacles: ObstacleRule | None = None
     clearance_m: float | None = None

@@ -490,8 +490,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "gamma_residential": 9.0,
         "quantity": "count",
         "normalise": "p50",
-        "weekday": Case((0.5,) * 24, {"time_of_day": "weekday-12"}),
-        "weekend": Case((0.5,) * 24, {"time_of_day": "weekend-12"}),
         "blocks": Case(lambda: home() / "blocks.geojson", {"use": on.read}),
         "block_field": Case(
             "other_id", {"use": with_people, "table": lambda: home() / "other.csv"}

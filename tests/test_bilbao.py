@@ -66,10 +66,7 @@ def test_rasters_that_do_not_align_become_maps(folder, data_dir):
     low, high = np.quantile(ground, [0.1, 0.9])
     assert seen[bare & (ground >= high)].mean() >= seen[bare & (ground <= low)].mean()
     record = json.loads((folder / "run.json").read_text())
-    assert record["buildings"]["height_origin_shares"] == {"raster": 1.0}
-    assert 0 < record["buildings"]["highest_m"] <= 52
     assert set(record["inputs"]) == {"buildings", "terrain"}
-    assert all(0 <= share <= 1 for share in record["rays_leave_data_share"].values())
 
 
 @pytest.mark.slow

@@ -79,6 +79,7 @@ PLAIN = {
         "altitude_m": 20.0,
         "progress": False,
         "bounds": BOUNDS,
+        "sample_city.name": "nihonbashi",
         "resolution_m": 5.0,
     },
     **{
@@ -213,7 +214,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ("path.txt", "PlannedPath.save.file PlannedPaths.save.file PlannedPath.save.more"),
     ("no/such/place.parquet", "plan_many.file"),
     ((-1e300, 1e300), "altitudes_m nest_with_m MetricMaps.m.altitude_m factors"),
-    ((1.0, 2.0, 3.0, 4.0, 5.0), "weekday weekend scale field_of_view_deg bounds"),
+    ((1.0, 2.0, 3.0, 4.0, 5.0), "scale field_of_view_deg bounds"),
     ({}, "cities sources"),
     ([], "queries demonstrations paths targets times"),
     (-1, "seed height_seed height_samples num_heights bootstrap num_samples routes instances"),
@@ -457,28 +458,19 @@ def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy_
 
 HOMES = {
     "build_maps": {
-        **{
-            "mask_deg": "gps=Gps(mask_deg=...)",
-            "mask": "gps=Gps(mask_deg=...)",
-            "gps_mask": "gps=Gps(mask_deg=...)",
-        },
+        "mask_deg": "gps=Gps(mask_deg=...)",
         "times_of_day": "population=Population(time_of_day=...)",
         "height_std": "heights=Heights(height_std_m=...)",
-        "population_table": "population=Population(table=...)",
-        "default_height_m": "city=City.from_files(buildings=Buildings(default_height_m=...))",
-        **dict.fromkeys(("metrics", "weights", "device", "seed"), ""),
+        **dict.fromkeys(
+            ("metrics", "weights", "device", "seed", "gps_mask", "default_height_m"), ""
+        ),
     },
-    "cost_map": {
-        "radius_m": "constraints=Constraints.read(vehicle=Vehicle(radius_m=...))",
-        "snap": "",
-    },
+    "cost_map": {"clearance_m": "constraints=Constraints.read(clearance_m=...)", "snap": ""},
     "MetricMaps.save": {"overwrite": ""},
     "plan": {
         "clearance_m": "constraints=Constraints.read(clearance_m=...)",
-        "levels": "altitude_m=Levels(...)",
         "max_altitude_m": "altitude_m=Levels(max_altitude_m=...)",
-        "speed": "constraints=Constraints.read(vehicle=Vehicle(speed_m_s=...))",
-        **dict.fromkeys(("closed", "volume", "simplify", "time_limit"), ""),
+        **dict.fromkeys(("levels", "closed", "volume", "simplify", "time_limit"), ""),
     },
     "study": {"planers": "settings=Study(planners=...)"},
 }

@@ -27,10 +27,11 @@ from jaxurban.draw.write import framed, write_picture
 from jaxurban.io.samples import SAMPLES
 from jaxurban.maps.run import ScenarioRun, run_scenario
 from jaxurban.maps.scenario import Scenario
+from jaxurban.metrics.population import Population
 from jaxurban.plot import plot_metric
 from jaxurban.studies.montecarlo.sampling import STRATA, strata_of
-from jaxurban.world.blocks import Blocks
-from jaxurban.world.grid import Grid
+from jaxurban.world.blocks import Blocks, Zoning
+from jaxurban.world.grid import Bounds, Grid
 
 ROOT = Path(__file__).parents[2]
 IS_SMALL = "--small" in sys.argv  # of `python -m figures`
@@ -125,6 +126,48 @@ def manhattan_blocks() -> Blocks:
         CRS,
     )
     return blocks
+
+
+def population_totals(
+    blocks: Blocks,
+    params: Population | None = None,
+    bounds_m: Bounds | None = None,
+    is_cut: bool = False,
+) -> dict[str, dict[str, float]]:
+    """Return the people of the blocks by time of day and zoning.
+
+    Keys are ``night`` and ``day``, under each ``commercial``, ``residential``, ``other`` and ``total``.
+
+    Args:
+      blocks: the census blocks.
+      params: settings whose gammas make the people by day, where the blocks do not hold these; left out, the paper's.
+      bounds_m: x_min, y_min, x_max, y_max: only the blocks that touch this box count; left out, all.
+      is_cut: whether a block that reaches beyond the box counts only with the people inside, spread evenly over its
+        area; otherwise it counts whole.
+    """
+    params = params or Population()
+    share = np.ones(len(blocks)) if bounds_m is None else blocks.touches(bounds_m)
+    if is_cut and bounds_m is not None:
+        inside_m2 = shapely.area(shapely.intersection(blocks.polygons, shapely.box(*bounds_m)))
+        share = share * inside_m2 / np.where(blocks.area_m2 > 0, blocks.area_m2, 1.0)
+
+    def by_zoning(count: np.ndarray) -> dict[str, float]:
+        """Return the sum of the counts ``[N]`` of the blocks, each times its share, by zoning."""
+        people = count * share
+        return {
+            zone.name.lower(): float(people[blocks.zoning == zone].sum())
+            for zone in reversed(Zoning)
+        }
+
+    night = by_zoning(blocks.night_count)
+    if blocks.day_count is None:
+        day = {name: count * params.gamma_residential for name, count in night.items()}
+        day["commercial"] = night["commercial"] * params.gamma_commercial
+    else:
+        day = by_zoning(blocks.day_count)
+    for counts in (night, day):
+        counts["total"] = sum(counts.values())
+    return {"night": night, "day": day}
 
 
 @cache

@@ -5,12 +5,18 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from figures.paper.common import BOUNDS, Caption, manhattan_blocks, needs_island, save
+from figures.paper.common import (
+    BOUNDS,
+    Caption,
+    manhattan_blocks,
+    needs_island,
+    population_totals,
+    save,
+)
 from jaxurban.draw.frame import NO_DATA_COLOUR, MapPanel, draw_maps
 from jaxurban.draw.metrics import EMPTY_COLOUR, colours_of, layers_above_zero
 from jaxurban.io.burn import burn
 from jaxurban.io.rasterise import NO_BLOCK
-from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.population import DENSITY, block_layers, map_blocks
 from jaxurban.world.grid import Grid
 

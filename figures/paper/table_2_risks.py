@@ -4,6 +4,9 @@ import numpy as np
 import pandas as pd
 
 from figures.paper.common import MAP_M, TOWNS, Caption, Town, save_table
+from jaxurban.maps.build import view_sky
+from jaxurban.maps.guesses import leaving_share
+from jaxurban.maps.run import gps_of, load_city
 from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.gps import Rating, rating
 
@@ -17,7 +20,7 @@ NOT_MAPPED = "no"
 
 def measured(town: Town) -> dict[str, str]:
     """Return what the maps of a town say of each risk, by the name of its row."""
-    run, maps = town.run(), town.maps(MAP_M)
+    maps = town.maps(MAP_M)
     is_free, settings = maps.is_free(ALTITUDE_M, "centre"), Scenario.from_dict(town.scenario)
 
     def percent(is_so: np.ndarray) -> str:
@@ -33,8 +36,11 @@ def measured(town: Town) -> dict[str, str]:
         )
         share = percent(maps.m("density", time_of_day="night") > 0)
         people = f"{share} lie over blocks with people; on average {densities}"
-    buildings = run.record["buildings"]
-    beyond = run.record["rays_leave_data_share"][f"{ALTITUDE_M:g}"]
+    scenario = Scenario.from_dict(town.scenario)
+    city = load_city(scenario)
+    buildings = city.buildings.inside(maps.grid.bounds_m)
+    guessed = buildings.origin_counts().get("default", 0)
+    beyond = leaving_share(city, maps.grid, view_sky(maps.grid, gps_of(scenario)), ALTITUDE_M)
     return {
         "canyon": f"{percent(maps.m('num_visible', ALTITUDE_M) < MIN_SATELLITES)} see fewer than {MIN_SATELLITES}; "
         f"GDOP is above {settings.gps.gdop_threshold:g} or unknown in {percent(is_poor)}",
@@ -42,8 +48,8 @@ def measured(town: Town) -> dict[str, str]:
         "near": f"{percent(maps.m('risk', ALTITUDE_M) < 1)} are closer than {settings.risk.threshold_m:g} m",
         "people": people,
         "unmapped": f"{100 * (~maps.ds['has_data'].values).mean():.1f} % without data; "
-        f"{100 * buildings['height_origin_shares'].get('default', 0.0):.1f} % of {buildings['in_region']:,} buildings "
-        f"have a guessed height; from {100 * beyond:.0f} % a ray leaves the known buildings",
+        f"{100 * guessed / len(buildings):.1f} % of {len(buildings):,} buildings "
+        f"have a guessed height; {100 * beyond:.0f} % of the rays to satellites leave the known buildings",
     }
 
 

@@ -1,9 +1,14 @@
 """Table 4 of the paper: ratings of the dilution of precision, and how much of each town falls under each."""
 
+from collections import Counter
+
 import numpy as np
 import pandas as pd
 
 from figures.paper.common import ALTITUDES_M, MAP_M, TOWNS, Caption, Town, by_altitude, save_table
+from jaxurban.maps.build import view_sky
+from jaxurban.maps.run import gps_of
+from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.gps import RATING_UPPER_GDOP, Rating, rating
 
 NAMES = {"gps": "GPS", "galileo": "Galileo"}
@@ -49,8 +54,9 @@ def main() -> None:
         parts.append(f"{town.title} {by_altitude(good, '.1f')}")
         maps = town.maps(MAP_M)
         best = float(np.nanmin(maps.m("gdop", ALTITUDES_M[-1])))
-        counts = town.run().record["satellites_above_mask"]
-        systems = " and ".join(f"{num} of {NAMES[system]}" for system, (num,) in counts.items())
+        sky = view_sky(maps.grid, gps_of(Scenario.from_dict(town.scenario)))
+        counts = Counter(sorted(sky.in_view(0).systems))
+        systems = " and ".join(f"{num} of {NAMES[system]}" for system, num in counts.items())
         skies.append(f"{town.title} {systems} and a GDOP of {best:.2f} at best")
     here = (
         f"Good or better, percent of the free cells, {MAP_M:g} m a cell: {'; '.join(parts)}. A GDOP of 1 or less "

@@ -27,7 +27,7 @@ def millions(blocks: Blocks, params: Population) -> dict[str, float]:
     return {
         hour: float(
             np.sum(
-                block_people(blocks.night_count, blocks.zoning, day_share(hour, params), *gammas),
+                block_people(blocks.night_count, blocks.zoning, day_share(hour), *gammas),
                 dtype=float,
             )
         )

@@ -12,11 +12,11 @@ from figures.paper.common import (
     manhattan_blocks,
     needs_island,
     new_york_districts,
+    population_totals,
     region_grid,
     save_table,
 )
 from figures.paper.table_5_people_by_time import MOSS
-from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.population import Population
 
 PAPER_MILLIONS = {"night": (0.97, 1.32), "day": (0.48, 3.96)}  # residential, commercial

@@ -47,7 +47,7 @@ from jaxurban.terminal.options import Numbers, command
     multiple=True,
     help="Fetch one of --what from another place, such as an OSM extract (.osm.pbf); repeatable.",
 )
-@SHOWN("--max-size", default="500MB", help="Largest file accepted (units of 1,024).")
+@SHOWN("--max-size", default="500MB", help="Largest file accepted.")
 @FLAG("--overwrite", help="Move existing files to the folder `kept` and fetch them again.")
 @FLAG("--dry-run", "is_dry_run", help="List the requests without making them.")
 @JSON_FLAG

@@ -9,7 +9,8 @@ import numpy as np
 from jaxurban.checks import at_least, one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.flights.autopilots import ENOUGH_M, parameter_texts, typed_m
-from jaxurban.io.geotiff import write_bands
+from jaxurban.io.files import whole_file
+from jaxurban.io.geotiff import write_cog
 from jaxurban.kernels.line.homeward import highest_homeward
 from jaxurban.knowledge import Caution, caution_of_guesses, percent
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -131,7 +132,19 @@ class ReturnAltitude(FactsRepr):
         file = Path(file)
         if one_of("the end of a file's name", file.suffix, (".tif", "")) == "":
             return self.maps.save(file, layers=[NAME])
-        return write_bands(file, self.maps.grid, {LONG_NAME: self.altitude_m}, "m")
+        values = np.asarray(self.altitude_m, np.float32)
+        with whole_file(file) as scratch:
+            write_cog(
+                scratch,
+                self.maps.grid,
+                values.dtype,
+                [values[::-1]],
+                is_averaged=False,
+                tags={},
+                title=LONG_NAME,
+                unit="m",
+            )
+        return file
 
 
 @typed

@@ -5,7 +5,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import numpy as np
 
@@ -80,7 +79,7 @@ class WorkFolder:
             for path in (mark, *files) if files else ():
                 remove(path)
 
-        if self.done(ZARR) is None:  # tiles are written into it
+        if not self.is_done(ZARR):  # tiles are written into it
             for path in (self.zarr, *self._marks("tile_*")):
                 remove(path)
         return damaged
@@ -173,31 +172,28 @@ class WorkFolder:
         """Return the path of the mark of a step."""
         return self.path / DONE_FOLDER / f"{name}.json"
 
-    def mark_done(
-        self, name: str, checksums: dict[str, str], facts: dict[str, Any] | None = None
-    ) -> None:
+    def mark_done(self, name: str, checksums: dict[str, str]) -> None:
         """Note that a step is finished and all of it is written.
 
         Args:
           name: of the step.
           checksums: of the files that it wrote, by their names in the folder.
-          facts: what else `done` returns of the step, as JSON holds it.
         """
-        write_json(self._mark(name), {"checksums": checksums, "facts": facts or {}})
+        write_json(self._mark(name), {"checksums": checksums})
 
     def mark_zarr(self) -> None:
-        """Note that the Zarr is there, in a mark of all of its files but the chunks, which the marks of tiles name."""
-        of_tiles = {name for mark in self._marks("tile_*") for name in read_json(mark)["checksums"]}
+        """Note that the Zarr is there, in a mark of all of its files: the chunks of maps come later, with tiles."""
         files = filter(Path.is_file, self.zarr.rglob("*"))
         names = {file.relative_to(self.path).as_posix() for file in files}
-        own = sorted(set(filter(_is_of_steps, names)) - of_tiles)
+        own = sorted(filter(_is_of_steps, names))
         self.mark_done(ZARR, {name: checksum_of(self.path / name) for name in own})
 
-    def done(self, name: str) -> dict[str, Any] | None:
-        """Return the facts that `mark_done` noted of a step, None if it is not finished or its mark is damaged."""
+    def is_done(self, name: str) -> bool:
+        """Return whether a step is finished, and its mark is whole."""
         with suppress(OSError, ValueError):
-            return read_json(self._mark(name))["facts"]
-        return None
+            read_json(self._mark(name))
+            return True
+        return False
 
     def finish(self, target: Path) -> None:
         """Put the assembled maps in their place, and remove the folder.

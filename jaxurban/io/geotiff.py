@@ -1,4 +1,4 @@
-"""Metric maps as cloud-optimised GeoTIFF with their QGIS styles, and maps as bands of one; each whole, or missing."""
+"""Metric maps as cloud-optimised GeoTIFF with their QGIS styles; each whole, or missing."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -160,15 +160,6 @@ def geotiff_paths(ds: xr.Dataset, folder: Path, layers: Sequence[str]) -> list[P
     return [folder / GEOTIFF_FOLDER / name for name in names]
 
 
-def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
-    """Return the paths of the GeoTIFFs and styles of obstacles and metrics at which no file is, or an empty one."""
-    return [
-        path
-        for path in geotiff_paths(ds, folder, ())
-        if not (path.is_file() and path.stat().st_size)
-    ]
-
-
 def write_geotiffs(
     ds: xr.Dataset,
     folder: Path,
@@ -251,8 +242,8 @@ def _writing() -> Iterator[None]:
         raise
 
 
-def raster_profile(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any]:
-    """Return the arguments by which rasterio opens a new GeoTIFF of ``count`` bands on a grid.
+def raster_profile(grid: Grid, dtype: np.dtype) -> dict[str, Any]:
+    """Return the arguments by which rasterio opens a new GeoTIFF of one band on a grid.
 
     It is tiled and north-up, and ``nodata`` is what stands for no value in maps of this dtype.
     """
@@ -260,7 +251,7 @@ def raster_profile(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any
         "driver": "GTiff",
         "width": grid.num_cols,
         "height": grid.num_rows,
-        "count": count,
+        "count": 1,
         "dtype": dtype,
         "crs": grid.crs,
         "transform": Affine(
@@ -270,39 +261,6 @@ def raster_profile(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any
         "tiled": True,
         "bigtiff": "IF_SAFER",
     }
-
-
-def write_bands(
-    file: Path,
-    grid: Grid,
-    bands: Mapping[str, np.ndarray],
-    unit: str = "1",
-    tags: Mapping[str, str] | None = None,
-) -> Path:
-    """Write maps as bands (float32, Zstandard, north-up, NaN = no data) and return the file.
-
-    Args:
-      file: named ``.tif``.
-      grid: of the maps.
-      bands: ``[Y, X]`` by description, rows south to north.
-      unit: of their values.
-      tags: of the file.
-
-    Raises:
-      InputError: the folder cannot be written to.
-    """
-    profile = raster_profile(grid, np.dtype(np.float32), len(bands))
-    with (
-        whole_file(file) as scratch,
-        _writing(),
-        rasterio.open(scratch, "w", **profile, compress="ZSTD") as raster,
-    ):
-        raster.update_tags(**(tags or {}))
-        raster.units = [unit] * len(bands)
-        for number, (description, values) in enumerate(bands.items(), start=1):
-            raster.write(np.asarray(values, np.float32)[::-1], number)
-            raster.set_band_description(number, description)
-    return file
 
 
 def write_cog(

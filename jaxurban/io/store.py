@@ -88,7 +88,7 @@ def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
 
 
 def _to_zarr(ds: xr.Dataset, path: Path, tile: tuple[int, int] = (1, 1)) -> None:
-    """Write a dataset into a new Zarr, or into one that lacks it, and then the metadata of all of the Zarr.
+    """Write a dataset into a new Zarr, and then the metadata of all of it in one file.
 
     The values of its maps are left out.
 
@@ -123,7 +123,7 @@ def _to_zarr(ds: xr.Dataset, path: Path, tile: tuple[int, int] = (1, 1)) -> None
         compute=False,
     )
 
-    # The metadata of all arrays in one file; arrays that were there before are among them.
+    # The metadata of all arrays in one file.
     of_arrays = sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs")))
     files = [path / ".zattrs", path / ".zgroup", *of_arrays]
     parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in files}
@@ -261,13 +261,6 @@ def put_root(folder: Path) -> None:
     for file, content in zip(root_files(folder), contents, strict=True):
         if not is_as_written(file, [checksum_of(content)]):
             write_whole(file, content)
-
-
-def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
-    """Add variables that are not maps to a Zarr; InputError as of `open_whole` where its arrays are not ours."""
-    for file in path.glob("*/.zarray"):
-        _check_arrays(file, {file.name: json.loads(file.read_bytes())})
-    _to_zarr(ds.drop_vars(list(ds.coords)), path)
 
 
 def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
@@ -463,17 +456,13 @@ def open_whole(path: Path) -> xr.Dataset:
                 f"the maps in {str(path)!r} have layout {layout!r}, and this version of jaxurban reads {LAYOUT}: "
                 "update jaxurban, or make the maps again in a new folder"
             )
-        resolution_m = ds.attrs["resolution_m"]
-        is_length = isinstance(resolution_m, int | float) and 0 < resolution_m < math.inf
-        try:
+        with suppress(KeyError, TypeError, ValueError):
             guesses_from(ds.attrs.get("guesses", "[]"))
-        except (KeyError, TypeError, ValueError):
-            is_length = False
-        if not is_length:
-            raise InputError(
-                f"the attributes of {str(path)!r} are not those of maps: make the maps again in a new folder"
-            )
-        return ds
+            if 0 < ds.attrs["resolution_m"] < math.inf:
+                return ds
+        raise InputError(
+            f"the attributes of {str(path)!r} are not those of maps: make the maps again in a new folder"
+        )
     except InputError:
         raise
     except Exception as error:

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, reason_of
 from jaxurban.io.files import SCRATCH_SUFFIX, read_json
 from jaxurban.io.workspace import recorded
 
@@ -44,39 +44,19 @@ def stored_resolutions(folder: Path) -> dict[float, Path]:
     return {resolution_m: path for resolution_m, path in sorted(paths.items()) if path.is_dir()}
 
 
-def check_version(folder: Path) -> None:
-    """Raise InputError if a folder holds maps, or the file of a run that made maps, and its record names none of them.
-
-    Then another version of jaxurban wrote them, or the record is lost.
-    """
-    # The folders of maps, and the file of a run.
-    zarr_files = folder.glob(f"{ZARR_FOLDER}/[0-9]*m/*")
-    outputs = [file.parent for file in zarr_files if file.name in OF_ZARR]
-    run = folder / RUN_FILE
-    if run.is_file() and b'"run_key"' in run.read_bytes():
-        outputs.append(run)
-    # Recorded names, cut to the depth of the outputs: "maps.zarr/5m", "run.json".
-    written = {Path(folder, *Path(name).parts[:2]) for name in recorded(folder)}
-    if outputs and written.isdisjoint(outputs):
-        raise InputError(
-            f"{str(folder)!r} comes from another version of jaxurban, or without its checksums.json: make the maps "
-            "again in a new folder"
-        )
-
-
 def stored_maps(folder: Path) -> dict[float, Path]:
     """Return the folders of the Zarrs under ``folder``, as of `stored_resolutions`, of which there is one at least.
 
     Raises:
-      InputError: there are none, or a file is in the folder's place; errors as of `check_version` too.
+      InputError: there are none, or a file is in the folder's place.
     """
     if folder.is_file():
         raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
     paths = stored_resolutions(folder)
-    check_version(folder)
     if not paths:
         raise InputError(
-            f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`"
+            f"{str(folder)!r} holds no metric maps, or not their checksums.json: make them with `jaxurban maps "
+            f"SCENARIO -o {folder}`"
         )
     return paths
 
@@ -100,18 +80,15 @@ def stored_settings(folder: Path) -> dict[str, Any]:
     Raises:
       InputError: the file is damaged, or it is missing though a run made the maps.
     """
-    remedy = "run the same `jaxurban maps` command again, which writes it again"
     try:
         return read_json(folder / RUN_FILE)["settings"]
-    except FileNotFoundError as error:
-        if are_of_a_run(folder):
-            raise InputError(
-                f"{str(folder / RUN_FILE)!r}, with the settings of the maps, is missing: {remedy}"
-            ) from error
-        return {}
     except (OSError, ValueError, KeyError, TypeError) as error:
+        is_missing = isinstance(error, FileNotFoundError)
+        if is_missing and not are_of_a_run(folder):
+            return {}
         raise InputError(
-            f"{str(folder / RUN_FILE)!r} cannot be read ({error}): {remedy}"
+            f"{str(folder / RUN_FILE)!r}, with the settings of the maps, cannot be read ({reason_of(error)}): run the "
+            "same `jaxurban maps` command again, which writes it again"
         ) from error
 
 

@@ -28,12 +28,12 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.blocks import rounded_up
 from jaxurban.kernels.shadows.sweep import TOGETHER
 from jaxurban.maps.free_memory import gpu_free_bytes
-from jaxurban.maps.memory import distinct_texts
+from jaxurban.maps.memory import format_bytes
 from jaxurban.maps.task import MapTask
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.registry import ON_REQUEST, known_metrics
-from jaxurban.metrics.variables import HIGHEST, SCALE, TimeTotals, statistics_of_ordered
+from jaxurban.metrics.variables import HIGHEST, statistics_of_ordered
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import Weights, WeightsLike
 from jaxurban.progress import Stage
@@ -91,24 +91,21 @@ def inputs_of(task: MapTask) -> MapInputs:
         a metric on request without a traced form.
     """
     params = task.params
-    if task.city.hanging == SLABS:
-        raise InputError(
-            'the maps as one function know no slabs: read the city with hanging = "to_ground", or make the maps with '
-            "build_maps"
-        )
-    if params.oversample > 1 or params.gps.bounds or params.heights.height_samples or task.layers:
-        raise InputError(
-            "the maps as one function know no oversample, bounds, height_samples or own layers: leave them out, or "
-            "make the maps with build_maps"
-        )
     traced = {name: metric for name, metric in task.metrics.items() if metric.traced is not None}
-    untraced = [name for name in task.metrics if name in ON_REQUEST and name not in traced]
-    if untraced:
+    is_asked = {
+        'slabs (hanging = "to_ground" leaves them out)': task.city.hanging == SLABS,
+        "oversample": params.oversample > 1,
+        "bounds": params.gps.bounds,
+        "height_samples": params.heights.height_samples > 0,
+        "own layers": len(task.layers) > 0,
+        **{name: name not in traced for name in task.metrics if name in ON_REQUEST},
+    }
+    unknown = [what for what, is_so in is_asked.items() if is_so]
+    if unknown:
         raise InputError(
-            f"the maps as one function hold no {' and no '.join(untraced)}: leave it out, or make the maps with "
+            f"the maps as one function hold no {' and no '.join(unknown)}: leave it out, or make the maps with "
             "build_maps"
         )
-
     return _made_ready(task, task.surface().of_jax(), traced.values())
 
 
@@ -227,10 +224,8 @@ def _weighted(inputs: MapInputs, maps: dict[str, Array], weights: Weights) -> Ar
 
 
 @partial(jax.jit, static_argnames="keeps_times")
-def region_maps(
-    inputs: MapInputs, skies: SkyView, keeps_times: bool
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return the maps of a region at all times as `build_maps` keeps them, by variable: `all_maps`, and its sums.
+def region_maps(inputs: MapInputs, skies: SkyView, keeps_times: bool) -> dict[str, Array]:
+    """Return the maps of a region at all times as `build_maps` keeps them, by variable: `all_maps`.
 
     Args:
       inputs: of metrics without a time, which look beyond a cell, and of those of satellites, which do not.
@@ -238,8 +233,7 @@ def region_maps(
       keeps_times: False gives statistics over the times.
 
     Returns:
-      Each map with the axes of its variable before ``[y, x]``, NaN inside obstacles if it has altitudes; and with
-      statistics, by metric, int32 ``[T, A, y]``, the sums of round(m x `SCALE`) over the free cells of each row.
+      Each map with the axes of its variable before ``[y, x]``, NaN inside obstacles if it has altitudes.
     """
     still = all_maps(replace(inputs, settings={}), jax.tree.map(lambda values: values[0], skies))
     is_obstacle = still.pop("obstacle") == 1
@@ -261,19 +255,16 @@ def region_maps(
     if len(skies.num) > 1 or not keeps_times:
         maps |= {f"{name}_{HIGHEST}": jnp.max(by_time[name], axis=0) for name in no_costs}
     if keeps_times:
-        return maps | by_time, {}
-    row_sums = {}
+        return maps | by_time
     threshold = inputs.settings["gps"].availability_threshold
     for name in [
         name for name in by_time if name not in no_costs
     ]:  # in order: one program, as a set has none
         m = by_time[name]
-        whole = jnp.nan_to_num(jnp.rint(m * SCALE)).astype(jnp.int32)
-        row_sums[name] = jnp.sum(whole, axis=-1)
         ordered = jnp.sort(jnp.moveaxis(m, 0, -1))
         for what, values in statistics_of_ordered(ordered, ordered > threshold).items():
             maps[f"{name}_{what}"] = jnp.where(jnp.isnan(m[0]), jnp.nan, values)
-    return maps, row_sums
+    return maps
 
 
 def free_device_bytes(task: MapTask) -> float | None:
@@ -347,17 +338,11 @@ def tile_at_once(
         held: Any = program.memory_analysis()
         needed = held.argument_size_in_bytes + held.output_size_in_bytes + held.temp_size_in_bytes
         if needed > device_bytes:
-            needed_text, free_text = distinct_texts(needed, device_bytes)
             raise TooLargeError(
-                f"a tile needs about {needed_text} of the GPU's memory and {free_text} are free: end what else uses "
-                "it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
+                f"a tile needs about {format_bytes(needed)} of the GPU's memory and {format_bytes(device_bytes)} are "
+                "free: end what else uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take "
+                "--device cpu"
             )
-        made, row_sums = jax.device_get(program(*arguments))
+        made = jax.device_get(program(*arguments))
 
-    scene = TileScene(task, surface, of_device=metrics, made=made)
-    for name, sums in row_sums.items():
-        is_counted = ~np.isnan(made[f"{name}_median"])
-        scene.totals[name] = TimeTotals(
-            sums.sum(axis=-1, dtype=np.int64), is_counted.sum(axis=(1, 2))
-        )
-    return scene
+    return TileScene(task, surface, of_device=metrics, made=made)

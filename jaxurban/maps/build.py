@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import shapely
@@ -26,19 +26,14 @@ from jaxurban.maps.at_once import (
 )
 from jaxurban.maps.memory import check_fits, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.params import PAPER_ALTITUDES_M, MapParams
+from jaxurban.maps.params import PAPER_ALTITUDES_M, MapParams, MetricSettings
 from jaxurban.maps.recipe import tile_maps
-from jaxurban.maps.task import MapTask, empty_dataset, with_series
+from jaxurban.maps.task import MapTask, empty_dataset
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.maps.tiled import Tiling
 from jaxurban.metrics.custom import Layer, check_layers
-from jaxurban.metrics.gps import Dop, Gps
-from jaxurban.metrics.gps_floor import GpsFloor
-from jaxurban.metrics.lidar import Lidar
-from jaxurban.metrics.population import Population, check_has_people
-from jaxurban.metrics.protection import Protection
-from jaxurban.metrics.risk import Risk
-from jaxurban.metrics.variables import TimeTotals, add_totals
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.population import check_has_people
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
 from jaxurban.settings import Heights
@@ -62,14 +57,7 @@ def build_maps(
     layers: Mapping[str, Layer] | None = None,
     engine: Engine = "auto",
     progress: Progress = True,
-    gps: Gps | None = None,
-    lidar: Lidar | None = None,
-    population: Population | None = None,
-    risk: Risk | None = None,
-    gps_horizontal: Dop | None = None,
-    gps_vertical: Dop | None = None,
-    protection: Protection | None = None,
-    gps_floor: GpsFloor | None = None,
+    **metrics: Unpack[MetricSettings],
 ) -> MetricMaps:
     """Return the metric maps of a city.
 
@@ -110,17 +98,7 @@ def build_maps(
         raise InputError("give either bounds or grid, and not both")
     layers = check_layers(layers)
     region = grid if grid is not None else region_of(city, bounds, resolution_m)
-    sections = _sections(
-        city,
-        gps=gps,
-        lidar=lidar,
-        population=population,
-        risk=risk,
-        gps_horizontal=gps_horizontal,
-        gps_vertical=gps_vertical,
-        protection=protection,
-        gps_floor=gps_floor,
-    )
+    sections = _sections(city, metrics)
     heights = heights or city.heights or Heights()
     params = MapParams(altitudes_m, oversample, heights, sections, engine)
     check_region(city, region, is_own=grid is None and bounds is None)
@@ -131,7 +109,7 @@ def build_maps(
         return compute_maps(task, stage=Stopwatch(on_stage=report).stage)
 
 
-def _sections(city: City, **metrics: Any) -> dict[str, Any]:
+def _sections(city: City, metrics: MetricSettings) -> dict[str, Any]:
     """Return the settings of metrics by section, without those that are None.
 
     ``gps`` and ``population`` are those of the city where none are given, if it was read with any.
@@ -139,7 +117,7 @@ def _sections(city: City, **metrics: Any) -> dict[str, Any]:
     Raises:
       InputError: settings of people for a city without any.
     """
-    check_has_people(metrics["population"], city.blocks is not None)
+    check_has_people(metrics.get("population"), city.blocks is not None)
     own = {"gps": city.gps, "population": city.population}
     return values_given(own) | values_given(metrics)
 
@@ -254,7 +232,6 @@ def compute_maps(
     warn_of(guesses, known=task.city.guesses)
     warn_of_jax(task.params.engine)
     ds = empty_dataset(task).assign_attrs(guesses=guesses_to(guesses))
-    totals: dict[str, TimeTotals] = {}
     device_bytes = device_bytes or free_device_bytes(task)
     with on_host():
         if device_bytes is None:
@@ -266,10 +243,9 @@ def compute_maps(
                 target = ds[name].values[place][window]
                 num_rows, num_cols = target.shape
                 target[:] = values[-num_rows:, :num_cols]
-            add_totals(totals, tile.totals)
     check_has_data([ds["has_data"].values], task.city)
     base = task.city.sources.get("buildings")
-    return MetricMaps(ds if task.keeps_times else with_series(ds, task, totals), base=base)
+    return MetricMaps(ds, base=base)
 
 
 def _tiles_at_once(
@@ -300,14 +276,7 @@ def map_inputs(
     grid: Grid,
     *,
     altitudes_m: Sequence[float] = PAPER_ALTITUDES_M,
-    gps: Gps | None = None,
-    lidar: Lidar | None = None,
-    population: Population | None = None,
-    risk: Risk | None = None,
-    gps_horizontal: Dop | None = None,
-    gps_vertical: Dop | None = None,
-    protection: Protection | None = None,
-    gps_floor: GpsFloor | None = None,
+    **metrics: Unpack[MetricSettings],
 ) -> tuple[MapInputs, SkyView]:
     """Return a city and its skies made ready for `all_maps`; the skies of all times are stacked along them.
 
@@ -329,17 +298,7 @@ def map_inputs(
       >>> list(inputs.metrics), skies.num.shape
       (['gps', 'lidar', 'population', 'risk'], (1,))
     """
-    sections = _sections(
-        city,
-        gps=gps,
-        lidar=lidar,
-        population=population,
-        risk=risk,
-        gps_horizontal=gps_horizontal,
-        gps_vertical=gps_vertical,
-        protection=protection,
-        gps_floor=gps_floor,
-    )
+    sections = _sections(city, metrics)
     params = MapParams(altitudes_m, heights=city.heights or Heights(), sections=sections)
     check_region(city, grid)
     task = MapTask(city, grid, view_sky(grid, params.gps), params)

@@ -9,9 +9,6 @@ import psutil
 
 from jaxurban.errors import InputError
 
-UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
-MOST_UNITS = 1e12  # of memory, in any unit
-
 # Under Linux, by the file system of control groups: the file of a group's limit, and what it cannot give back.
 GROUP_FILES = {
     "cgroup": ("memory.limit_in_bytes", ("total_rss", "total_shmem")),
@@ -104,7 +101,7 @@ def gpu_free_bytes() -> int | None:
 
 
 def parse_bytes(text: str, name: str = "memory") -> int:
-    """Return the bytes in a size such as ``"4GiB"``, ``"512 MB"`` or ``"4g"``; all units are powers of 1,024.
+    """Return the bytes in a size such as ``"4GiB"`` or ``"512 MB"``: of KiB, MiB ... by 1,024, of kB, MB ... by 1,000.
 
     Args:
       text: a number above 0 and a unit; bytes without one.
@@ -113,7 +110,11 @@ def parse_bytes(text: str, name: str = "memory") -> int:
     Raises:
       InputError: the text is not such a size.
     """
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
-    if match is None or not 0 < float(match[1]) < MOST_UNITS:
+    from dask.utils import parse_bytes as bytes_of  # imported here: it takes 0.1 s
+
+    num_bytes = 0
+    with suppress(ValueError, OverflowError):
+        num_bytes = bytes_of(text)
+    if num_bytes <= 0 or not text[:1].isdigit():
         raise InputError(f"{name} must be a size such as 4GiB or 800MiB, got {text!r}")
-    return int(float(match[1]) * UNITS[match[2].upper()])
+    return num_bytes

@@ -50,7 +50,7 @@ def region_guesses(
 
     # A city from no files (the synthetic one) has no real sky, and nothing stands beyond its edge.
     if city.sources:
-        _, share = leaving_shares(city, region, sky, altitude_m)
+        share = leaving_share(city, region, sky, altitude_m)
         guesses += guessed(GuessKind.BEYOND_DATA, share, altitude_m=altitude_m)
     else:
         guesses = tuple(each for each in guesses if each.kind is not GuessKind.NOMINAL_SKY)
@@ -155,17 +155,16 @@ def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesse
     return beyond + guessed(GuessKind.EMPTY_LAYER, empty_share, least=EMPTY_SHARE, layer=name)
 
 
-def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tuple[float, float]:
-    """Return how many rays toward satellites leave the data while a roof could still block them.
+def leaving_share(city: City, region: Grid, sky: Sky, altitude_m: float) -> float:
+    """Return the share, 0 to 1, of rays that leave the data while a roof could still block them.
+
+    There is a ray for each cell, satellite and time.
 
     Rays start at the centres of cells, evenly spread: at all of them, or at so few that about `MOST_RAYS` are followed.
 
     Args:
       city, region, sky: what the maps are made of.
       altitude_m: of the cells, above ground.
-
-    Returns:
-      The share, 0 to 1, of cells that have any such ray, and the share of rays, one for each cell, satellite and time.
     """
     azimuth_rad = sky.azimuth_rad[sky.is_in_view]
     elevation_rad = sky.elevation_rad[sky.is_in_view]
@@ -175,8 +174,8 @@ def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float) -> tup
     x_m, y_m = np.meshgrid(region.x_m[first_col::stride], region.y_m[first_row::stride])
     start_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)[:, None]
     rise_m = highest_top_m(city) - altitude_m
-    leaves = ~stays_within(city.known_ground, start_m, azimuth_rad, elevation_rad, rise_m)
-    return float(leaves.any(axis=1).mean()), float(leaves.mean())
+    stays = stays_within(city.known_ground, start_m, azimuth_rad, elevation_rad, rise_m)
+    return float((~stays).mean())
 
 
 def _scale_guesses(

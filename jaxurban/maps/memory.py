@@ -1,23 +1,18 @@
-"""How much memory and disk the work on tiles takes, and how many tiles at a time fit under a ceiling."""
+"""How much memory the work on tiles takes, and how many tiles at a time fit under a ceiling."""
 
 import math
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
-from pathlib import Path
 
 import numpy as np
 import psutil
 
 from jaxurban.errors import InputError
 from jaxurban.io.rasterise import PEOPLE_SAMPLES
-from jaxurban.io.stored import GEOTIFF_FOLDER, ZARR_FOLDER
 from jaxurban.maps.free_memory import free_bytes
 from jaxurban.maps.task import MapTask, variables
 from jaxurban.metrics.base import TIME
 from jaxurban.progress import LOG
-from jaxurban.settings import SLABS
 from jaxurban.world.grid import MAX_SIDE, Grid, tile_shape
 
 DEFAULT_SHARE = 0.5  # of the memory that is free when a run begins
@@ -30,10 +25,9 @@ SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series tak
 COMPILING_BYTES = 320 * 2**20
 PROGRAM_BYTES = 80 * 2**20
 WORKER_BYTES = 700 * 2**20
-# Of a cell: rasters on the host and for JAX while they are put together, or crops of them for the lidar; the same of
-# the terrain and, where slabs hang, of roofs at an altitude.
-SURFACE_CELL_BYTES = 20
-TERRAIN_CELL_BYTES = 16
+# Of a cell: rasters of roofs, of the terrain and of roofs at an altitude, on the host and for JAX while they are put
+# together, or crops of them for the lidar.
+SURFACE_CELL_BYTES = 52
 # Of a sample of a cell: the pixel of people under it, of rasters by day and by night.
 PEOPLE_SAMPLE_BYTES = 12
 # Of a cell at an altitude: which of up to 64 satellites it sees, twice if supersampled; at each time of a series its m
@@ -45,28 +39,13 @@ SPREAD_CELL_BYTES = 4 * 10 * 3
 SUBCELL_BYTES = 60
 # Of a cell in a row of tiles, all across the region, while a GeoTIFF is made of it.
 GEOTIFF_CELL_BYTES = 14
-# On the disk: of a cell of the region both its roofs, until maps are whole; the share of the maps' values that is
-# written, as compressed as any city's were, and of noise, once in Zarr, once as GeoTIFFs with their overviews.
-WORK_CELL_BYTES = 8
-LEAST_SHARE = 0.02
-MOST_SHARE = 1 + 4 / 3
 
 
 def format_bytes(num_bytes: float) -> str:
-    """Return a size in words for people, such as ``"4.0 GiB"``, or ``"less than 1 MiB"``."""
-    if num_bytes < 2**20:
-        return "less than 1 MiB"
-    if num_bytes < 2**30:
-        return f"{num_bytes / 2**20:.0f} MiB"
-    gibibytes = num_bytes / 2**30
-    return f"{gibibytes:.1f} GiB" if gibibytes < 10 else f"{gibibytes:,.0f} GiB"
+    """Return a size in words for people, such as ``"4.00 GiB"``."""
+    from dask.utils import format_bytes as text_of  # imported here: it takes 0.1 s
 
-
-def distinct_texts(size: float, other: float) -> tuple[str, str]:
-    """Return two sizes in bytes as `format_bytes`, or in MiB with three decimals where these texts would be equal."""
-    if format_bytes(size) != format_bytes(other):
-        return format_bytes(size), format_bytes(other)
-    return f"{size / 2**20:,.3f} MiB", f"{other / 2**20:,.3f} MiB"
+    return text_of(int(num_bytes))
 
 
 def shape_of_tiles(task: MapTask) -> tuple[int, int]:
@@ -96,10 +75,7 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
     num_cells = _num_cells(tile)
     num_altitudes = len(params.altitudes_m)
 
-    # The surface, with further rasters for terrain and for roofs at an altitude.
-    num_rasters = task.has_terrain + (task.city.hanging == SLABS)
-    surface_bytes = SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * num_rasters
-    needed = surface_bytes * _num_cells(around or task.with_halo(tile))
+    needed = SURFACE_CELL_BYTES * _num_cells(around or task.with_halo(tile))
 
     # The metrics, each on the tile and on the cells around it that lie within the metric's reach.
     series_bytes = 0 if task.keeps_times else SERIES_VALUE_BYTES * task.num_times
@@ -149,10 +125,9 @@ def check_fits(task: MapTask) -> None:
     work = tile_bytes(task, region, task.with_margin())
     needed = COMPILING_BYTES + PROGRAM_BYTES + work + maps_bytes(task)
     if needed > free:
-        needed_text, free_text = distinct_texts(needed, free)
         raise InputError(
             f"the maps of {region.num_rows:,} x {region.num_cols:,} cells of {region.resolution_m:g} m need about "
-            f"{needed_text} of memory at once and {free_text} are free: choose a smaller region, a "
+            f"{format_bytes(needed)} of memory at once and {format_bytes(free)} are free: choose a smaller region, a "
             "coarser resolution_m or a shorter lidar range_m, or make them with `jaxurban maps`, which works tile by "
             "tile"
         )
@@ -200,11 +175,11 @@ def plan_run(
     base_bytes += num_processes * WORKER_BYTES or COMPILING_BYTES
     fitting = (ceiling - base_bytes) // largest_bytes
     if fitting < least_tiles:
-        needed_text, most_text = distinct_texts(base_bytes + largest_bytes * least_tiles, ceiling)
-        remedy = "fewer --workers" if num_processes > 1 else "a coarser [region] resolution_m"
+        needed = format_bytes(base_bytes + largest_bytes * least_tiles)
         raise InputError(
-            f"this job needs about {needed_text} of memory and may take {most_text}: raise --memory, or choose "
-            f"{remedy}, a shorter [lidar] range_m or [risk] threshold_m, or fewer altitudes or times"
+            f"this job needs about {needed} of memory and may take {format_bytes(ceiling)}: raise --memory, or choose "
+            "fewer --workers, a coarser [region] resolution_m, a shorter [lidar] range_m or [risk] threshold_m, or "
+            "fewer altitudes or times"
         )
 
     # An equal number for each process.
@@ -216,37 +191,3 @@ def plan_run(
         f"{format_bytes(base_bytes + at_once * largest_bytes)} of memory at most, of {format_bytes(ceiling)} allowed"
     )
     return num_workers
-
-
-def disk_bytes(tasks: Sequence[MapTask]) -> tuple[int, int]:
-    """Return how many bytes of disk a run takes at least and at most, as its maps compress more or less.
-
-    The resolutions of ``tasks`` are made one after the other, so the unfinished tiles of one at a time count.
-    """
-    work = max(WORK_CELL_BYTES * _num_cells(task.region) for task in tasks)
-    values = sum(map(maps_bytes, tasks))
-    return int(work + LEAST_SHARE * values), int(work + MOST_SHARE * values)
-
-
-def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
-    """Check that the disk has room for a run, and write to the log how much of it the run takes at its peak.
-
-    Args:
-      tasks: one for each resolution.
-      folder: where the maps go. The maps of an earlier run in it count as free space, as they are replaced.
-
-    Raises:
-      InputError: the disk is too small even if the maps compress well.
-    """
-    files = chain((folder / ZARR_FOLDER).rglob("*"), (folder / GEOTIFF_FOLDER).rglob("*"))
-    left = sum(file.stat().st_size for file in files if file.is_file())
-    least, most = disk_bytes(tasks)
-    free = shutil.disk_usage(folder).free
-    if least > free + left:
-        least_text, free_text = distinct_texts(least, free)
-        raise InputError(
-            f"the maps need at least {least_text} of disk and {free_text} are free in {str(folder)!r}: "
-            "use a smaller region, a coarser [region] resolution_m, or another folder"
-        )
-    span = " to ".join(dict.fromkeys(map(format_bytes, (least, most))))  # equal texts once
-    LOG.info(f"disk at the peak: {span}, of {format_bytes(free + left)} free")

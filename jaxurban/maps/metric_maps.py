@@ -72,7 +72,7 @@ class MetricMaps(FactsRepr):
     obstacles (``obstacle`` is 1) what is undefined there: m of gps, lidar, risk and protection with their bounds,
     spreads and statistics, DOPs and levels, so that means over cells are `numpy.nanmean`; ``num_visible`` is 0 there.
     Of a long series of times, instead of ``gps`` and the DOPs: ``gps_availability``, ``gps_median`` and ``gps_p05``
-    [altitude, y, x], ``gps_epoch_mean`` [time, altitude] (mean m over free cells) and ``gps_worst_time`` [altitude].
+    [altitude, y, x].
     On request ``protection``, ``hpl`` and ``vpl`` (metres, inf where undetermined) and ``within_limits``
     [time, altitude, y, x], or the same statistics of ``protection``.
     Maps that were opened from a folder are read when they are looked at.

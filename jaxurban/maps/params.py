@@ -2,19 +2,34 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypedDict
 
-import numpy as np
-
-from jaxurban.checks import at_least, typed
+from jaxurban.checks import at_least, different_lengths, typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.engine import Engine
-from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.gps import Dop, Gps
+from jaxurban.metrics.gps_floor import GpsFloor
+from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.population import Population
+from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import checked_sections
+from jaxurban.metrics.risk import Risk
 from jaxurban.settings import Heights
 
 PAPER_ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
+
+
+class MetricSettings(TypedDict, total=False):
+    """Settings of metrics, as in `jaxurban.build_maps`; None for those that are left out."""
+
+    gps: Gps | None
+    lidar: Lidar | None
+    population: Population | None
+    risk: Risk | None
+    gps_horizontal: Dop | None
+    gps_vertical: Dop | None
+    protection: Protection | None
+    gps_floor: GpsFloor | None
 
 
 @typed
@@ -43,12 +58,7 @@ class MapParams:
 
     def __post_init__(self) -> None:
         """Check the settings; write altitudes as floats, and sections with their defaults. Errors as of the class."""
-        altitudes_m = tuple(map(float, self.altitudes_m))
-        are_different = len(set(altitudes_m)) == len(altitudes_m) > 0
-        if not are_different or not all(0 < value < np.inf for value in altitudes_m):
-            raise InputError(
-                f"altitudes_m must be different positive numbers of metres above ground, got {[*altitudes_m]}"
-            )
+        altitudes_m = different_lengths("altitudes_m", self.altitudes_m)
         object.__setattr__(self, "altitudes_m", altitudes_m)
         at_least("oversample", self.oversample, 1)
         object.__setattr__(self, "sections", checked_sections(self.sections))
@@ -69,9 +79,9 @@ class MapParams:
     @property
     def gps(self) -> Gps:
         """The settings of satellites."""
-        return self.sections.get("gps") or Gps()
+        return self.sections["gps"]
 
     @property
     def population(self) -> Population:
         """The settings of people."""
-        return self.sections.get("population") or Population()
+        return self.sections["population"]

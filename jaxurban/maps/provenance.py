@@ -5,7 +5,6 @@ import hashlib
 import importlib.metadata
 import json
 import os
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -13,24 +12,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
-import numpy as np
 import pyproj
 import shapely
 
 from jaxurban.checks import values_given
 from jaxurban.errors import readable
-from jaxurban.io.city import City
 from jaxurban.io.files import SCRATCH_SUFFIX, digest_of, read_json, visible_files, write_json
 from jaxurban.io.samples import located, structures_of
 from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.scenario import Scenario
-from jaxurban.metrics.population import FILES, Population
+from jaxurban.metrics.population import FILES
 from jaxurban.progress import LOG
 from jaxurban.settings import NOMINAL, as_tuple
-from jaxurban.world.blocks import Blocks, Zoning
-from jaxurban.world.grid import Bounds, Grid
-from jaxurban.world.sky import Sky
 
 if TYPE_CHECKING:
     from jaxurban.maps.task import MapTask
@@ -43,6 +37,7 @@ REPORTED_VERSIONS = (
 # Sections of the scenario that no map depends on.
 NOT_OF_MAPS = ("weights", "planning", "vehicle", "study")
 MOST_SAID, NOT_SET = 6, "not set"  # of differing settings in one sentence
+DIGITS_SAID = 8  # of a SHA-256
 MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps")  # of the package: what maps depend on
 
 Differing = dict[str, tuple[Any, Any]]  # old and new value by dotted key, None for what is not set
@@ -72,26 +67,9 @@ def run_record(
       started_utc: when the run began, ISO 8601.
       messages: of the warnings.
     """
-    from jaxurban.maps.guesses import leaving_shares
-
     city = tasks[0].city
     region = tasks[0].region
     sky = tasks[-1].sky
-
-    # Shares of cells and of results whose rays leave the data, by altitude.
-    cells_leaving = {}
-    results_leaving = {}
-    for altitude_m in scenario.region.altitudes_m:
-        cells, results = leaving_shares(city, region, sky, altitude_m)
-        cells_leaving[short_number(altitude_m)] = round(cells, 4)
-        results_leaving[short_number(altitude_m)] = round(results, 4)
-
-    # People of the blocks that touch the region, and of those only the people inside it.
-    population = inside = None
-    if city.blocks is not None:
-        people = city.blocks, scenario.population, region.bounds_m
-        population = population_totals(*people)
-        inside = population_totals(*people, is_cut=True)
 
     return {
         "started_utc": started_utc,
@@ -107,14 +85,11 @@ def run_record(
             "bounds_m": list(region.bounds_m),
             "cells": {short_number(task.region.resolution_m): task.region.shape for task in tasks},
         },
-        "buildings": _building_record(city, region),
+        "buildings": {
+            "faults": dict(city.read_issues),
+            "learned": {name: asdict(each) for name, each in city.learned.items()},
+        },
         "epochs": list(sky.times),
-        "satellites_above_mask": sky.count_by_system(),
-        "satellites": _satellite_record(sky),
-        "rays_leave_data_share": cells_leaving,
-        "answers_leave_data_share": results_leaving,
-        "population": population,
-        "population_in_region": inside,
         "warnings": list(dict.fromkeys(messages)),
     }
 
@@ -347,9 +322,10 @@ def _shown(value: Any) -> str:
     return NOT_SET if value is None else repr(value)
 
 
-def _sums(files: Mapping[str, Mapping[str, str]]) -> dict[str, str | None]:
-    """Return the SHA-256 of input files by their roles, None for one that its record lacks."""
-    return {role: file.get("sha256") for role, file in files.items()}
+def _compared(settings: Mapping[str, Any], inputs: Inputs, made_by: Any) -> dict[str, Any]:
+    """Return what decides maps, to be compared: settings, the first digits of each file's SHA-256, and versions."""
+    sums = {role: file["sha256"][:DIGITS_SAID] for role, file in inputs.items()}
+    return {"inputs": sums, "versions": made_by} | _of_maps(settings)
 
 
 def other_maps(folder: Path, scenario: Scenario, inputs: Inputs) -> str:
@@ -362,28 +338,14 @@ def other_maps(folder: Path, scenario: Scenario, inputs: Inputs) -> str:
       scenario: the settings.
       inputs: its files, from `hash_inputs`.
     """
-    try:
+    others = Differing()
+    with suppress(OSError, ValueError, LookupError, TypeError):
         record = read_json(folder / RUN_FILE)
-        settings = record["settings"]
-        files = record["inputs"]
-        made_by = record["versions"]
-    except (OSError, ValueError, LookupError):
-        return "maps of other settings or inputs, or made by another version of jaxurban or its libraries"
-
-    # The settings, the input files and the versions that differ.
-    words = []
-    other_settings = differing(_of_maps(settings), _of_maps(settings_of(scenario)))
-    if other_settings:
-        words.append(f"of other settings ({differences_said(other_settings)})")
-    roles = list(differing(_sums(files), _sums(inputs)))
-    if other_settings:  # these name already the files that only one of the runs has
-        roles = [role for role in roles if role in files and role in inputs]
-    if roles:
-        words.append(f"of other input files ({', '.join(roles)}: what they hold has changed)")
-    other_versions = differing(made_by, versions())
-    if other_versions:
-        words.append(f"made by other versions ({differences_said(other_versions)})")
-    return f"maps {' and '.join(words) or 'made by other code of jaxurban, or on another device'}"
+        before = _compared(record["settings"], record["inputs"], record["versions"])
+        others = differing(before, _compared(settings_of(scenario), inputs, versions()))
+    if others:
+        return f"maps of other settings, input files or versions ({differences_said(others)})"
+    return "maps made by other code of jaxurban, or on another device"
 
 
 def versions() -> dict[str, str]:
@@ -396,90 +358,3 @@ def versions() -> dict[str, str]:
         "PROJ": pyproj.proj_version_str,
     }
     return {name: importlib.metadata.version(name) for name in REPORTED_VERSIONS} | libraries
-
-
-def _building_record(city: City, region: Grid) -> dict[str, Any]:
-    """Return what `run.json` says of the buildings in a region.
-
-    This is where their heights come from (counts and shares), and the faults of the file; for a city whose roofs are a
-    raster, only the faults and the highest roof. The kinds of all that stands, what of it is the highest in metres and
-    how many hang count structures too.
-    """
-    record: dict[str, Any] = {"faults": dict(city.read_issues)}
-    if city.learned:
-        record["learned"] = {name: asdict(each) for name, each in city.learned.items()}
-    if city.buildings is None or city.standing is None:
-        assert city.roofs is not None
-        highest_m = float(np.nanmax(city.roofs.values, initial=0.0))
-        return record | {"height_origin_shares": {"raster": 1.0}, "highest_m": highest_m}
-    inside = city.buildings.inside(region.bounds_m)
-    standing = city.standing.inside(region.bounds_m)
-    counts = inside.origin_counts()
-    num = max(len(inside), 1)
-    return record | {
-        "in_region": len(inside),
-        "height_origin_counts": counts,
-        "height_origin_shares": {name: round(count / num, 4) for name, count in counts.items()},
-        "kinds": dict(Counter(standing.kinds.tolist())),
-        "highest_m": float(standing.height_m.max(initial=0.0)),
-        "hanging_parts": int((standing.min_height_m > 0).sum()),
-    }
-
-
-def _satellite_record(sky: Sky) -> list[dict[str, Any]]:
-    """Return each satellite's directions by time, in degrees, and the age of its elements, in days."""
-    azimuth_deg = np.degrees(sky.azimuth_rad).round(3).T
-    elevation_deg = np.degrees(sky.elevation_rad).round(3).T
-    age_days = sky.element_age_days.round(3).T
-    return [
-        {
-            "name": name,
-            "system": sky.systems[s],
-            "azimuth_grid_deg": azimuth_deg[s].tolist(),
-            "elevation_deg": elevation_deg[s].tolist(),
-            "element_age_days": age_days[s].tolist(),
-        }
-        for s, name in enumerate(sky.names)
-    ]
-
-
-def population_totals(
-    blocks: Blocks,
-    params: Population | None = None,
-    bounds_m: Bounds | None = None,
-    is_cut: bool = False,
-) -> dict[str, dict[str, float]]:
-    """Return the people of the blocks by time of day and zoning, for run.json.
-
-    Keys are ``night`` and ``day``, under each ``commercial``, ``residential``, ``other`` and ``total``.
-
-    Args:
-      blocks: the census blocks.
-      params: settings whose gammas make the people by day, where the blocks do not hold these; left out, the paper's.
-      bounds_m: x_min, y_min, x_max, y_max: only the blocks that touch this box count; left out, all.
-      is_cut: whether a block that reaches beyond the box counts only with the people inside, spread evenly over its
-        area; otherwise it counts whole.
-    """
-    params = params or Population()
-    share = np.ones(len(blocks)) if bounds_m is None else blocks.touches(bounds_m)
-    if is_cut and bounds_m is not None:
-        inside_m2 = shapely.area(shapely.intersection(blocks.polygons, shapely.box(*bounds_m)))
-        share = share * inside_m2 / np.where(blocks.area_m2 > 0, blocks.area_m2, 1.0)
-
-    def by_zoning(count: np.ndarray) -> dict[str, float]:
-        """Return the sum of the counts ``[N]`` of the blocks, each times its share, by zoning."""
-        people = count * share
-        return {
-            zone.name.lower(): float(people[blocks.zoning == zone].sum())
-            for zone in reversed(Zoning)
-        }
-
-    night = by_zoning(blocks.night_count)
-    if blocks.day_count is None:
-        day = {name: count * params.gamma_residential for name, count in night.items()}
-        day["commercial"] = night["commercial"] * params.gamma_commercial
-    else:
-        day = by_zoning(blocks.day_count)
-    for counts in (night, day):
-        counts["total"] = sum(counts.values())
-    return {"night": night, "day": day}

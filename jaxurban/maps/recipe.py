@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxurban.io.city import City
+from jaxurban.checks import values_given
 from jaxurban.io.rasterise import build_surface, highest_top_m
 from jaxurban.maps.task import variables
 from jaxurban.maps.tile_scene import TileScene
 from jaxurban.maps.uncertain_heights import Spread, perturbed_cities
 from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE, Metric
-from jaxurban.metrics.variables import HIGHEST, SCALE, TimeTotals, series_statistics
+from jaxurban.metrics.variables import HIGHEST, series_statistics
 from jaxurban.metrics.visibility import bounding_visibility
 from jaxurban.progress import Stage
 from jaxurban.settings import TO_GROUND
@@ -67,7 +67,7 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     """Yield all maps of a tile: obstacles, metrics of satellites, other metrics, spreads, and the rasters below them.
 
     Args:
-      tile: what the maps are made of; its totals are filled where statistics over time are kept.
+      tile: what the maps are made of.
       stage: gives the context that the work on each stage runs in.
     """
     task = tile.task
@@ -150,7 +150,7 @@ def _with_highest(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
 
 
 def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
-    """Yield the statistics over time of a metric, altitude by altitude, and put its sums into ``tile.totals``.
+    """Yield the statistics over time of a metric, altitude by altitude.
 
     The metric of all times is in memory at once, ``[T, A, y, x]`` float32, with a byte more of each value where a
     variable of its own says which positions are available.
@@ -159,26 +159,14 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
       tile: what the maps are made of.
       metric: of times and altitudes.
     """
-    # Free cells with data, [A, y, x], which alone the sums count.
-    is_counted = ~tile.is_obstacle
-    if tile.has_data is not None:
-        is_counted &= tile.has_data
-
     # The metric at every time.
-    m = np.empty((tile.task.num_times, *is_counted.shape), np.float32)
+    m = np.empty((tile.task.num_times, *tile.is_obstacle.shape), np.float32)
     is_available = np.empty(m.shape, np.uint8) if metric.available else None
     for name, place, values in _maps(tile, metric, only_m=is_available is None):
         if name == metric.name:
             m[place] = values
         elif is_available is not None and name == metric.available:
             is_available[place] = values
-
-    # The sums are of whole numbers, so that no order of tiles changes a bit of them.
-    totals = TimeTotals(np.zeros(m.shape[:2], np.int64), is_counted.sum(axis=(1, 2)))
-    for t, a in np.ndindex(*m.shape[:2]):
-        whole = np.rint(m[t, a] * np.float32(SCALE))
-        totals.m_sum[t, a] = np.sum(whole, where=is_counted[a], dtype=float)
-    tile.totals[metric.name] = totals
 
     # The statistics of each cell.
     threshold = tile.task.params.gps.availability_threshold
@@ -189,41 +177,28 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
 
 
 def _bounds(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
-    """Yield ``{metric}_lower`` and ``{metric}_upper``, which bracket the true m of free cells.
+    """Yield ``{metric}_lower`` and ``{metric}_upper``, which bracket the true m of free cells, by time and altitude.
 
     The lower bound is from roofs that hide most, with everything that hangs reaching the ground; the upper bound is
     from roofs that hide least, without anything that hangs. They bracket m as one satellite more never makes it less.
-    """
-    hides_most = replace(tile.task.city, hanging=TO_GROUND)
-    yield from _bound(tile, metric, f"{metric.name}_lower", hides_most, is_lower=True)
-    yield from _bound(tile, metric, f"{metric.name}_upper", tile.task.city, is_lower=False)
-
-
-def _bound(
-    tile: TileScene, metric: Metric, name: str, city: City, is_lower: bool
-) -> Iterator[MapLayer]:
-    """Yield a bound on a metric at each time and altitude; the tile's visibility words are then those of the bound.
-
-    Args:
-      tile: what the maps are made of.
-      metric: one that is bracketed.
-      name: of the bound's map.
-      city: whose roofs hide satellites, what hangs left out.
-      is_lower: whether roofs hide the most that they can, which makes the bound the lower one.
+    The tile's visibility words are then those of a bound.
     """
     task = tile.task
     params = task.params
-    fine = replace(tile.finer(city, all_touched=is_lower), slabs=None)
-    for t in range(task.num_times):
-        angles = task.in_view(t).angles
-        words = bounding_visibility(
-            fine, *angles, params.altitudes_m, params.oversample, hides_most=is_lower
-        )
-        tile.keep(t, words)
-        for a in range(len(params.altitudes_m)):
-            scene = tile.at(metric, (t, a), only_m=True)
-            maps = metric.compute(scene, task.settings_of(metric))
-            yield MapLayer(name, (t, a), maps[metric.name])
+    cities = {"lower": replace(task.city, hanging=TO_GROUND), "upper": task.city}
+    for bound, city in cities.items():
+        is_lower = bound == "lower"
+        fine = replace(tile.finer(city, all_touched=is_lower), slabs=None)
+        for t in range(task.num_times):
+            angles = task.in_view(t).angles
+            words = bounding_visibility(
+                fine, *angles, params.altitudes_m, params.oversample, hides_most=is_lower
+            )
+            tile.keep(t, words)
+            for a in range(len(params.altitudes_m)):
+                scene = tile.at(metric, (t, a), only_m=True)
+                maps = metric.compute(scene, task.settings_of(metric))
+                yield MapLayer(f"{metric.name}_{bound}", (t, a), maps[metric.name])
 
 
 def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
@@ -265,16 +240,16 @@ def _rasters(tile: TileScene) -> Iterator[MapLayer]:
     Lengths are in metres. Roofs count what hangs (an altitude of inf meets all slabs).
     """
     surface = tile.surface
-    yield MapLayer("roof", (), region_roofs(surface, np.inf))
-    assert surface.roof_touched_m is not None
-    yield MapLayer("roof_touched", (), surface.roof_touched_m)
-    if surface.slabs is not None:
-        yield MapLayer(UNDERSIDE, (), surface.slabs.lowest_floors(surface.region))
-    if surface.roof_guessed is not None:
-        yield MapLayer("roof_guessed", (), surface.roof_guessed)
-        yield MapLayer("roof_limit", (), surface.roof_limit_m)
-        yield MapLayer("roof_likely", (), surface.roof_likely_m)
-    if surface.roof_kind is not None:
-        yield MapLayer("roof_kind", (), surface.roof_kind)
-    if surface.terrain_m is not None:
-        yield MapLayer("terrain", (), surface.crop(surface.terrain_m))
+    slabs = surface.slabs
+    rasters = {
+        "roof": region_roofs(surface, np.inf),
+        "roof_touched": surface.roof_touched_m,
+        UNDERSIDE: None if slabs is None else slabs.lowest_floors(surface.region),
+        "roof_guessed": surface.roof_guessed,
+        "roof_limit": surface.roof_limit_m,
+        "roof_likely": surface.roof_likely_m,
+        "roof_kind": surface.roof_kind,
+        "terrain": surface.crop(surface.terrain_m),
+    }
+    for name, values in values_given(rasters).items():
+        yield MapLayer(name, (), values)

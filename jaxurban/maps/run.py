@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ from jaxurban.knowledge import guesses_to, warn_of
 from jaxurban.maps.at_once import free_device_bytes
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.executors import cluster_client, work_in_threads, work_on_cluster
-from jaxurban.maps.memory import check_disk, plan_run, shape_of_tiles
+from jaxurban.maps.memory import plan_run, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import (
     Inputs,
@@ -39,11 +38,10 @@ from jaxurban.maps.provenance import (
     write_record,
 )
 from jaxurban.maps.scenario import Scenario
-from jaxurban.maps.task import MapTask, empty_dataset, with_series
+from jaxurban.maps.task import MapTask, empty_dataset
 from jaxurban.maps.tiled import TileJob, Tiling
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES
-from jaxurban.metrics.variables import TimeTotals, add_totals
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
 from jaxurban.settings import NOMINAL, as_tuple
 from jaxurban.world.grid import Grid
@@ -164,7 +162,6 @@ def run_scenario(
 
         # What the maps depend on, and whether the folder is free for them.
         inputs, key = begun(scenario)
-        stored.check_version(folder)
         if not overwrite:
             _check_holds_no_others(folder, scenario, inputs, key)
 
@@ -180,14 +177,13 @@ def run_scenario(
         guesses = tasks[0].all_guesses
         warn_of(guesses, known=city.guesses)
 
-        # Whether the folder can be written to, and memory and disk suffice. Only then is an older job's file touched.
+        # Whether the folder can be written to, and memory suffices. Only then is an older job's file touched.
         check_writable(folder)
         num_threads = num_cores()
         if not isinstance(workers, str):  # the memory of a cluster's machines is not known here
             num_threads = plan_run(
                 tasks, memory_bytes, num_workers=workers or num_threads, num_processes=workers or 0
             )
-        check_disk(tasks, folder)
 
         # The output folder is opened for this run; then the maps are made, one resolution after the other.
         opened = Workspace.open(
@@ -240,11 +236,9 @@ def _check_holds_no_others(folder: Path, scenario: Scenario, inputs: Inputs, key
     """
     stored_by = Workspace.settings_of(folder, "maps").get(RUN_KEY)
     if stored.stored_resolutions(folder) and stored_by != key:
-        names = (f"{folder}-{number}" for number in count(2))
-        unused = next(name for name in names if not Path(name).exists())
         raise InputError(
-            f"{str(folder)!r} holds {other_maps(folder, scenario, inputs)}: make these in another folder "
-            f"(jaxurban maps SCENARIO -o {unused}), or pass --overwrite to replace them"
+            f"{str(folder)!r} holds {other_maps(folder, scenario, inputs)}: make these in another folder (-o), or pass "
+            "--overwrite to replace them"
         )
 
 
@@ -410,26 +404,23 @@ def make_zarr(
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     job = TileJob(task, work, tiling, free_device_bytes(task))
     attrs = {RUN_KEY: run.key, "guesses": guesses_to(task.guesses)}
-    empty = empty_dataset(task, _no_values).assign_attrs(attrs)
-    if work.done(ZARR) is None:
+    if not work.is_done(ZARR):
+        empty = empty_dataset(task, _no_values).assign_attrs(attrs)
         store.create_zarr(empty, work.zarr, shape)
         work.mark_zarr()
 
     # The tiles.
     seconds: defaultdict[str, float] = defaultdict(float)
-    totals: dict[str, TimeTotals] = {}
     num_done = 0
     stage = f"tiles of {stored.short_number(grid.resolution_m)} m"
     report(stage, num_done, len(tiling.region_tiles))
 
     def take(result: dict[str, Any]) -> None:
-        """Add what a task on a tile returns to ``seconds`` and, of a finished tile, to ``totals`` and the count."""
+        """Add what a task on a tile returns to ``seconds`` and, of a finished tile, to the count."""
         nonlocal num_done
         for name, busy_s in result["seconds"].items():
             seconds[name] += busy_s
-        if "totals" in result:
-            more = {metric: TimeTotals.of(facts) for metric, facts in result["totals"].items()}
-            add_totals(totals, more)
+        if "finished" in result:
             num_done += 1
             report(stage, num_done, len(tiling.region_tiles))
 
@@ -438,12 +429,6 @@ def make_zarr(
     else:
         work_on_cluster(job, run.client, take)
 
-    # What needs the sums of all tiles, and the move of the whole Zarr to its place.
-    if totals:
-        with_means = with_series(empty, task, totals)
-        new = [name for name in with_means.data_vars if name not in empty]
-        store.add_to_zarr(with_means[new], work.zarr)
-        work.mark_zarr()
     work.finish(stored.zarr_path(run.folder, grid.resolution_m))
     return seconds
 

@@ -1,5 +1,6 @@
 """Scenario: the validated settings of one job, to and from TOML."""
 
+import json
 import math
 import operator
 import tomllib
@@ -24,7 +25,15 @@ from pydantic import (
 )
 
 from jaxurban import wings
-from jaxurban.checks import at_least, check_size, nearest_name, positive, typed, values_given
+from jaxurban.checks import (
+    at_least,
+    check_size,
+    different_lengths,
+    nearest_name,
+    positive,
+    typed,
+    values_given,
+)
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.samples import filled, is_sample, located
 from jaxurban.kernels.engine import Engine
@@ -39,12 +48,10 @@ from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.settings import (
-    DEFAULTS,
     Backend,
     Buildings,
     CostKind,
     PlannerName,
-    PlannerText,
     Planning,
     Terrain,
     Vegetation,
@@ -68,10 +75,6 @@ PAPER_PLANNERS: tuple[PlannerName, ...] = (
 )
 REMEDY = 'give sections and their keys, and write "/" or \'...\' for "\\" in double quotes'
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-MUST_BE = {
-    **dict.fromkeys(("tuple_type", "list_type"), "must be a list in brackets"),
-    **dict.fromkeys(("model_type", "dict_type", "dataclass_type"), "must be a table of settings"),
-}
 WeightTable = Annotated[  # weights by name; `Scenario` knows which names there are
     dict[str, Any],
     AfterValidator(lambda named: Weights(**named).checked()),
@@ -83,34 +86,6 @@ WeightSettings = Annotated[
 
 
 OneOrMore = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]  # a TOML may name one alone
-
-
-def _check_planner(name: str) -> None:
-    """Raise InputError for an unknown planner; the registry, which brings Numba, is asked of few names alone."""
-    if name not in (DEFAULTS.planner, *PAPER_PLANNERS):
-        from jaxurban.planners.registry import find_planner
-
-        find_planner(name)
-
-
-def _different(name: str, values: Iterable[float]) -> tuple[float, ...]:
-    """Return lengths in metres as a tuple, once they are checked.
-
-    Args:
-      name: of the setting that holds them, for the message.
-      values: the lengths.
-
-    Raises:
-      InputError: there is none, one is not positive, or two are the same in the name of a file.
-    """
-    lengths_m = tuple(positive(name, value) for value in values)
-    if not lengths_m:
-        raise InputError(f"{name} is empty: name at least one length in metres")
-    if len({f"{value:g}" for value in lengths_m}) < len(lengths_m):
-        raise InputError(
-            f"{name} names a value twice (file names carry six digits), got {[*lengths_m]}"
-        )
-    return lengths_m
 
 
 @typed
@@ -146,19 +121,10 @@ class Region:
         """Check the settings and write numbers as floats; errors as of the class."""
         object.__setattr__(self, "bounds", check_bounds(self.bounds))
         for name in ("resolution_m", "altitudes_m"):
-            object.__setattr__(self, name, _different(name, getattr(self, name)))
+            object.__setattr__(self, name, different_lengths(name, getattr(self, name)))
         object.__setattr__(self, "oversample", at_least("oversample", self.oversample, 1))
         if self.crs is not None:
             projected_crs(self.crs)
-
-
-def _dirichlet_or_list(value: Any) -> Any:
-    """Return the setting ``study.weights`` unchanged; raise ValueError unless it is "dirichlet" or a list."""
-    if value == "dirichlet" or (isinstance(value, list | tuple) and value):
-        return value
-    raise ValueError(
-        f"must be 'dirichlet' or a list such as [{{ distance = 0.1, gps = 1.0 }}], got {value!r}"
-    )
 
 
 # Settings of a study that a table of instances has in itself.
@@ -194,13 +160,11 @@ class Study:
     """
 
     instances: int = 200
-    planners: PlannerText | Sequence[PlannerText] = PAPER_PLANNERS
-    distance_only: PlannerText | Sequence[PlannerText] = ("astar-dist",)
+    planners: PlannerName | Sequence[PlannerName] = PAPER_PLANNERS
+    distance_only: PlannerName | Sequence[PlannerName] = ("astar-dist",)
     altitudes_m: OneOrMore | None = None
     land_cover: str | None = None
-    weights: Annotated[
-        tuple[WeightSettings, ...] | Literal["dirichlet"], BeforeValidator(_dirichlet_or_list)
-    ] = "dirichlet"
+    weights: tuple[WeightSettings, ...] | Literal["dirichlet"] = "dirichlet"
     cost_model: CostKind | None = None
     budget_s: float = 2.0
     budget_iterations: int | None = None
@@ -214,11 +178,12 @@ class Study:
             object.__setattr__(self, name, tuple(planners))
         if not self.planners:
             raise InputError("planners is empty: name at least one planner")
-        for planner in (*self.planners, *self.distance_only):
-            _check_planner(planner)  # raises InputError for an unknown one
-
+        if not self.weights:
+            raise InputError("weights is empty: give 'dirichlet' or a list of weights by name")
         if self.altitudes_m is not None:
-            object.__setattr__(self, "altitudes_m", _different("altitudes_m", self.altitudes_m))
+            object.__setattr__(
+                self, "altitudes_m", different_lengths("altitudes_m", self.altitudes_m)
+            )
         positive("budget_s", self.budget_s)
         at_least("instances", self.instances, 1)
         at_least("seed", self.seed, 0)
@@ -270,22 +235,14 @@ class Scenario(BaseModel):
     study: Study = Study()
     _folder: Path = PrivateAttr(default=Path())
 
-    @model_validator(mode="before")
-    @classmethod
-    def _reject_booleans(cls, settings: Any) -> Any:
-        """Return settings with texts for TOML's times; ValueError for true or false where no boolean belongs."""
-        _check_truths(settings, cls)
-        return _with_times_as_text(settings)
-
     @model_validator(mode="after")
     def _check(self) -> "Scenario":
         """Return the scenario, with metrics on request added that have a weight.
 
         Raises:
-          ValueError: an unknown planner, bad layers or weights, or settings of several sections that contradict each
+          ValueError: bad layers or weights, or settings of several sections that contradict each
             other. Pydantic names the scenario's sections in its error.
         """
-        _check_planner(self.planning.planner)
         self._check_layers()
         self._request_what_is_weighed()
         people = self.map_params.population  # `MapParams` checks the settings of maps together
@@ -382,8 +339,10 @@ class Scenario(BaseModel):
         """
         folder = Path(folder or "")
         with_bounds, extent = _with_bounds(filled(settings), folder)
+        _check_sizes(with_bounds, f"{name}: ")
         try:
-            scenario = cls.model_validate(with_bounds)
+            # As JSON: of that pydantic takes lists for tuples, and nothing else for what it is not.
+            scenario = cls.model_validate_json(json.dumps(with_bounds, default=_plain), strict=True)
         except ValidationError as error:
             raise InputError(f"{name}: {_sentence_of(error, settings, cls)}") from error
         scenario._folder = folder
@@ -452,15 +411,6 @@ class Scenario(BaseModel):
     def is_synthetic(self) -> bool:
         """Whether the source is the synthetic city."""
         return self.buildings.source == SYNTHETIC
-
-
-def _with_times_as_text(settings: Any) -> Any:
-    """Return settings, nested as TOML reads them, with ISO 8601 texts in place of TOML's values of date and time."""
-    if isinstance(settings, Mapping):
-        return {name: _with_times_as_text(value) for name, value in settings.items()}
-    if isinstance(settings, list):
-        return [_with_times_as_text(value) for value in settings]
-    return iso_utc(settings) if isinstance(settings, datetime) else settings
 
 
 def _with_bounds(
@@ -576,36 +526,25 @@ def _sentence_of(error: ValidationError, settings: Any, model: type) -> str:
         return f"unknown {'key' if parents else 'section'} {key!r}{hint}"
     if first["type"] == "missing":
         return f"{key!r} is required and missing"
-    message = MUST_BE.get(first["type"], first["msg"].removeprefix("Value error, "))
+    message = first["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     if first["type"] != "value_error":
         message += f", got {first['input']!r}"
     return f"{key}: {message}" if key else message
 
 
-def _check_truths(settings: Any, model: type, where: str = "") -> None:
-    """Check the values of settings before pydantic converts them, as it would take true for the number 1.
-
-    Args:
-      settings: nested; anything but a mapping is left to pydantic.
-      model: of the settings.
-      where: what messages put in front of a setting's name.
-
-    Raises:
-      ValueError: true or false where the setting is not a boolean, or a number out of range.
-    """
-    if not isinstance(settings, Mapping):
-        return
-    types = fields_of(model)
+def _check_sizes(settings: Mapping[str, Any], where: str) -> None:
+    """Raise InputError where a number in nested settings is out of range; ``where`` stands before its name."""
     for name, value in settings.items():
-        if isinstance(value, bool) and name in types and types[name] is not bool:
-            raise ValueError(
-                f"{where}{name} cannot be {str(value).lower()}: give a number, a text or a list"
-            )
-        check_size(f"{where}{name}", value)
-        inner_model = model_in(types.get(name))
-        if inner_model:
-            _check_truths(value, inner_model, f"{where}{name}: ")
+        if isinstance(value, Mapping):
+            _check_sizes(value, f"{where}{name}: ")
+        else:
+            check_size(f"{where}{name}", value)
+
+
+def _plain(value: Any) -> str:
+    """Return a value of TOML or Python that JSON lacks as a text: times as ISO 8601, paths as they are."""
+    return iso_utc(value) if isinstance(value, datetime) else str(value)
 
 
 def fields_of(model: type) -> dict[str, Any]:

@@ -4,19 +4,16 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
-from jaxurban.io.samples import sample_of
 from jaxurban.io.stored import RUN_FILE, stored_settings
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
 from jaxurban.maps.scenario import Scenario
-from jaxurban.metrics.variables import ROOF_KIND
-from jaxurban.world.footprints import BUILDING
-from jaxurban.world.kinds import ALL_KINDS, PLANTS, WIRES, Obstacles
+from jaxurban.world.kinds import ALL_KINDS, Obstacles
 
 CityLike = City | MetricMaps | str | Path
 EXACT = "exact outlines"
@@ -28,9 +25,6 @@ STANDING = (
     "vegetation",
 )  # roles of the files that say what stands, and on which ground
 NOT_LOOKED_AT = "Kinds of obstacles that were not looked at: {}."
-# What counts where the record does not say it: plants and wires are newer than such maps, and so are the samples' files
-# of what stands beside buildings.
-KINDS_BEFORE = [kind for kind in ALL_KINDS if kind not in (*PLANTS, *WIRES)]
 
 
 class ChangedSourcesError(InputError):
@@ -49,11 +43,9 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
 
     Raises:
       ChangedSourcesError: a file of buildings or terrain is there, and not as it was.
-      InputError: sources that are no folder, maps that no scenario made, a damaged record, or files that are gone.
+      InputError: maps that no scenario made, a damaged record, or files that are gone.
     """
-    if sources is not None and not Path(sources).is_dir():
-        raise InputError(f"sources must be a folder, and {str(sources)!r} is none: check the path")
-    settings = _with_kinds(stored_settings(folder))
+    settings = stored_settings(folder)
     if "bounds" not in settings.get("region", {}):
         raise InputError(
             f"the maps in {str(folder)!r} were not made by `jaxurban maps`, so what they are of is not on record: make "
@@ -89,12 +81,6 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "
         "maps again"
     )
-
-
-def _with_kinds(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return recorded settings with the kinds that count."""
-    kinds = KINDS_BEFORE if sample_of(settings) is None else [BUILDING]
-    return {"obstacles": {"kinds": kinds}} | settings
 
 
 def city_of(given: CityLike, sources: str | Path | None = None) -> City:
@@ -172,9 +158,8 @@ def left_out(maps: MetricMaps, city: City | None) -> str:
         counted = city.kinds
     elif maps.folder is not None:
         settings = stored_settings(maps.folder)
-        if "obstacles" in settings or ROOF_KIND not in maps.ds:
-            obstacles = Obstacles(**_with_kinds(settings)["obstacles"])
-            counted = obstacles.under(maps.planning.preset)
+        obstacles = Obstacles(**settings.get("obstacles", {}))
+        counted = obstacles.under(maps.planning.preset)
     kinds = [kind for kind in ALL_KINDS if kind not in counted]
     return NOT_LOOKED_AT.format(", ".join(kinds)) if kinds else ""
 

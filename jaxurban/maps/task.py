@@ -30,7 +30,7 @@ from jaxurban.metrics import gps_floor
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Variable
 from jaxurban.metrics.custom import Layer, metrics_of
 from jaxurban.metrics.population import BlockLayers, block_layers
-from jaxurban.metrics.variables import AUXILIARY_VARIABLES, CAVEAT, TimeTotals, derived
+from jaxurban.metrics.variables import AUXILIARY_VARIABLES, CAVEAT, derived
 from jaxurban.metrics.visibility import shadow_reach_m
 from jaxurban.settings import SLABS
 from jaxurban.world.footprints import BUILDING
@@ -55,8 +55,7 @@ class MapTask:
       guesses: what the maps rest on that was guessed (see `jaxurban.knowledge`).
 
     Raises:
-      InputError: bounds of GPS under several clocks, a layer with the name of a map of the spread, or a GPS floor in a
-        city with slabs.
+      InputError: bounds of GPS under several clocks, or a GPS floor in a city with slabs.
     """
 
     city: City
@@ -80,12 +79,6 @@ class MapTask:
                 "the GPS floor knows no slabs, below and above which the sky differs: read the city with "
                 'hanging = "to_ground", or leave gps_floor out'
             )
-        for name in self.spread_metrics:
-            shared_names = self.layers.keys() & derived(self.metrics[name])["spread"].keys()
-            if shared_names:
-                raise InputError(
-                    f"a layer cannot be called {min(shared_names)!r}, a map of the spread: give it another name"
-                )
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:
@@ -348,34 +341,13 @@ def empty_dataset(
 
     # Attributes of each variable, then those that a metric's settings and a user's layer add.
     for name, variable in by_name.items():
-        ds[name].attrs |= _attributes(variable, ds[name])
+        ds[name].attrs |= _attributes(variable)
     for name, metric in task.metrics.items():
         if name in ds:
             ds[name].attrs |= metric.attributes(task.settings_of(metric))
     for name, layer in task.layers.items():
         ds[name].attrs["layer"] = json.dumps(layer.record)
     return ds
-
-
-def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals]) -> xr.Dataset:
-    """Return maps with two further variables by metric: its mean m at each time, and the time of the least mean.
-
-    The means are over all free cells of the region, so that no tile alone can make them. The variables have their
-    attributes; ``ds`` itself stays as it is.
-
-    Args:
-      ds: maps that keep statistics over time.
-      task: what the maps are made of.
-      totals: sums over the whole region, by metric.
-    """
-    series = {}
-    for name, sums in totals.items():
-        worst_times = ds["time"].values[sums.worst]
-        series[f"{name}_epoch_mean"] = _held(("time", "altitude"), sums.mean)
-        series[f"{name}_worst_time"] = _held(("altitude",), worst_times)
-        for derived_name, variable in derived(task.metrics[name])["region"].items():
-            series[derived_name].attrs = _attributes(variable, series[derived_name])
-    return ds.assign(series)
 
 
 def _coordinates(task: MapTask) -> dict[str, xr.Variable]:
@@ -430,22 +402,16 @@ def _axis(
     return _held((name,), values, attrs)
 
 
-def _attributes(variable: Variable, array: xr.DataArray | xr.Variable) -> dict[str, str]:
-    """Return the attributes that files hold of a variable, without those that are empty.
-
-    Args:
-      variable: what the values are.
-      array: the values. Times have no unit here, as xarray writes one itself. Arrays over y and x name the CRS.
-    """
-    is_time = array.dtype.kind == "M"
+def _attributes(variable: Variable) -> dict[str, str]:
+    """Return the attributes that files hold of a map, without those that are empty."""
     has_flags = len(variable.classes) > 2
     texts = {
         "long_name": variable.long_name,
         CAVEAT: variable.caveat,
         "standard_name": variable.standard_name,
-        "units": "" if is_time else variable.unit,
+        "units": variable.unit,
         "one_means": variable.one_means,
         "flag_meanings": " ".join(name for name, _ in variable.classes) if has_flags else "",
-        "grid_mapping": "spatial_ref" if {*PLANE} <= {*array.dims} else "",
+        "grid_mapping": "spatial_ref",
     }
     return {key: value for key, value in texts.items() if value}

@@ -13,7 +13,6 @@ from jaxurban.maps.task import MapTask
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene
 from jaxurban.metrics.custom import LAYERS
 from jaxurban.metrics.population import BlockLayers
-from jaxurban.metrics.variables import TimeTotals
 from jaxurban.metrics.visibility import shadows_over, visibility
 from jaxurban.world.sky import InView
 from jaxurban.world.surface import Surface, obstacles_on
@@ -30,7 +29,6 @@ class TileScene:
         roofs that can shadow the tile.
       of_device: the metrics that a device has made; the host makes all others.
       made: their maps, as `jaxurban.maps.at_once.region_maps` gives them.
-      totals: the tile's sums over free cells by metric, where statistics over time are kept; `tile_maps` fills it.
     """
 
     task: MapTask
@@ -38,7 +36,6 @@ class TileScene:
     rings: Mapping[tuple[int, int], Ring] | None = None
     of_device: Sequence[Metric] = ()
     made: Mapping[str, np.ndarray] = field(default_factory=dict)
-    totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
     _words: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
     _surfaces: dict[float, tuple[Surface, Surface | None]] = field(
         default_factory=dict, init=False, repr=False

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxurban.checks import values_given
-from jaxurban.errors import InputError
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
@@ -101,11 +100,9 @@ class Tiling:
           shape: rows and columns of a tile's cells.
 
         Raises:
-          InputError: a shape below 1, or a region that is not a part of the surface.
+          InputError: a region that is not a part of the surface.
         """
         tile_rows, tile_cols = shape
-        if min(shape) < 1:
-            raise InputError(f"tiles need at least one cell a side, got {tile_rows} x {tile_cols}")
         rows, cols = region.window_in(surface)
 
         # Columns from west to east.
@@ -278,7 +275,7 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     watch = Stopwatch()
     name = _name("raster", *tile)
     city = job.task.city
-    if job.work.done(name) is None:
+    if not job.work.is_done(name):
         with watch.stage("surface"):
             grid = job.tiling.grid_of(tile)
             is_reported = tile in job.tiling.region_tiles
@@ -310,7 +307,7 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
     watch = Stopwatch()
     name = _name("shadows", *tile, QUADRANTS[quadrant])
     sky = job.task.sky
-    if job.work.done(name) is None:
+    if not job.work.is_done(name):
         with watch.stage("gps"):
             grid = job.tiling.grid_of(tile)
             kept = job.work.load_arrays(_name("raster", *tile), *ROOFS, "terrain_m")
@@ -368,13 +365,11 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
       tile: of the region.
 
     Returns:
-      ``seconds`` by stage, none where it was done before; ``totals``: the facts of `TimeTotals` by metric, empty where
-      no statistics over time are kept.
+      ``seconds`` by stage, none where it was done before; ``finished``: the tile.
     """
     name = _name("tile", *tile)
-    facts = job.work.done(name)
-    if facts is not None:
-        return {**facts, "seconds": {}}
+    if job.work.is_done(name):
+        return {"finished": tile, "seconds": {}}
     watch = Stopwatch()
     window = job.tiling.reported(tile)
     checksums: dict[str, str] = {}
@@ -387,10 +382,9 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
                     job.work.zarr, layer.name, layer.place, window, layer.values
                 )
 
-    facts = {"totals": {metric: totals.facts for metric, totals in scene.totals.items()}}
     written = {f"{ZARR}/{file}": checksum for file, checksum in checksums.items()}
-    job.work.mark_done(name, written, facts)
-    return {**facts, "seconds": watch.elapsed_s}
+    job.work.mark_done(name, written)
+    return {"finished": tile, "seconds": watch.elapsed_s}
 
 
 def _scene(job: TileJob, tile: Tile, window: Window, stage: Stage) -> TileScene:

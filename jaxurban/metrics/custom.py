@@ -43,8 +43,8 @@ _OF_MAPS = (ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref", *AUXILIARY_VAR
 LAYERS = "layers"  # section of a scenario
 MOST_BEYOND = 0.01  # of a layer's values at one number beyond its scale
 FAR = 10.0
-# What a file's name holds behind that of its variable: an altitude, a time of day, a time.
-_OF_A_FILE = re.compile(r"\w+_(\d+m|day|night|\d{8}T\d{6}Z)")
+# What the name of a file, or of a map of the spread, holds behind that of its variable.
+_OF_A_FILE = re.compile(r"\w+_(\d+m|day|night|\d{8}T\d{6}Z|mean|std|p05|p95)")
 
 
 @typed
@@ -180,7 +180,7 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
             raise InputError(
                 f"a layer's name must be letters, digits and _ such as noise_2024, got {name!r}"
             )
-        # Also names that end in an altitude, a time or a time of day, as those of the maps' files do.
+        # Also names that end as those of the maps' files, or of maps of the spread, do.
         if name in reserved or _OF_A_FILE.fullmatch(name):
             raise InputError(
                 f"a layer cannot be called {name!r}: maps, their files or weights use such names: give another name"

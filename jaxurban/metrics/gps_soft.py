@@ -83,8 +83,6 @@ def soft_gps(
       InputError: a softness below 0.
     """
     check_softness(softness_m)
-    rows, cols = surface.window
-    window = rows.start, rows.stop, cols.start, cols.stop
     return _soft_gps(
         surface.roof_m,
         surface.of_hiding().roof_m,
@@ -95,7 +93,7 @@ def soft_gps(
         view,
         cells,
         reception,
-        window=window,
+        window=surface.window_ends,
         dop=dop,
     )
 

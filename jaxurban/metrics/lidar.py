@@ -129,6 +129,8 @@ def compute_lidar(
     altitudes_m: Sequence[float] | Array,
     params: Lidar,
     engine: Engine = "auto",
+    oversample: int = 1,
+    is_obstacle: Bool[AnyArray, "A y x"] | None = None,
 ) -> Float[AnyArray, "A y x"]:
     """Return m_lidar, the share of scan positions that return, on the region, ``[A, y, x]`` float32 in [0, 1].
 
@@ -148,18 +150,20 @@ def compute_lidar(
       params: the lidar.
       engine: which form counts over terrain, see `jaxurban.kernels.engine`; Numba's is for at most `MOST_BEAMS` beams.
         Over flat ground it is JAX's.
+      oversample: n, where the surface is n times finer than the map: receivers stand at the centres of the map's cells,
+        and slabs are left out (`Surface.at_altitude`).
+      is_obstacle: where nobody flies, and m is 0; left out, where the surface's roofs reach the altitude.
     """
-    # With slabs, each altitude has roofs of its own.
-    if surface.slabs is not None:
+    # With slabs, each altitude has roofs of its own, as a supersampled surface has already.
+    if surface.slabs is not None and oversample == 1:
         maps = []
         for z_m in np.asarray(altitudes_m):
             at_altitude = replace(surface.at_altitude(float(z_m)), slabs=None)
             maps.append(compute_lidar(at_altitude, [z_m], params, engine))
         return np.concatenate(maps)
     heights_m = beam_heights(altitudes_m, params, surface)
-    return lidar_of_beams(
-        surface, in_type(altitudes_m, surface.roof_m.dtype), heights_m, params, engine
-    )
+    altitudes = in_type(altitudes_m, surface.roof_m.dtype)
+    return lidar_of_beams(surface, altitudes, heights_m, params, engine, oversample, is_obstacle)
 
 
 def beam_heights(
@@ -192,6 +196,8 @@ def lidar_of_beams(
     heights_m: Float[AnyArray, "A N ..."],
     params: Lidar,
     engine: Engine = "jax",
+    oversample: int = 1,
+    is_obstacle: Bool[AnyArray, "A y x"] | None = None,
 ) -> Float[AnyArray, "A y x"]:
     """Return m_lidar as `compute_lidar`, from beams made ready by `beam_heights`.
 
@@ -200,15 +206,18 @@ def lidar_of_beams(
       altitudes_m: heights above ground.
       heights_m: of the beams at each step.
       params: the lidar.
-      engine: as for `compute_lidar`.
+      engine, oversample, is_obstacle: as for `compute_lidar`.
     """
     if _runs_numba(engine, surface, altitudes_m, heights_m):
-        is_obstacle = obstacles_on(surface, np.asarray(altitudes_m))
-        return _by_numba(surface, heights_m, params, oversample=1, is_obstacle=is_obstacle)
-    share = _by_jax(surface, altitudes_m, heights_m, params, oversample=1)
-    if surface.returning_m is None:
-        return share
-    return share * ~obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
+        if is_obstacle is None:
+            is_obstacle = obstacles_on(surface, np.asarray(altitudes_m))
+        return _by_numba(surface, heights_m, params, oversample, is_obstacle)
+    share = _by_jax(surface, altitudes_m, heights_m, params, oversample)
+    if is_obstacle is None:
+        if surface.returning_m is None:
+            return share
+        is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
+    return share * ~is_obstacle
 
 
 def _runs_numba(engine: Engine, surface: Surface, *values: Any) -> bool:
@@ -364,32 +373,6 @@ def _receiver_phase(oversample: int) -> int:
     return (oversample // 2) * (oversample + 1)
 
 
-def lidar_at_centres(
-    supersampled: Surface,
-    oversample: int,
-    is_obstacle: Bool[AnyArray, "A y x"],
-    altitudes_m: Sequence[float] | ArrayLike,
-    params: Lidar,
-    engine: Engine = "auto",
-) -> Float[AnyArray, "A y x"]:
-    """Return m_lidar at the centres of the map's cells as `compute_lidar`, with rays through a finer surface.
-
-    Args:
-      supersampled: the surface, n times finer than the map, without slabs.
-      oversample: n.
-      is_obstacle: where nobody flies: m is 0 there.
-      altitudes_m: ``[A]`` heights above ground.
-      params: the lidar.
-      engine: as in `compute_lidar`.
-    """
-    heights_m = beam_heights(altitudes_m, params, supersampled)
-    if _runs_numba(engine, supersampled, heights_m):
-        return _by_numba(supersampled, heights_m, params, oversample, is_obstacle)
-    altitudes = in_type(altitudes_m, supersampled.roof_m.dtype)
-    share = np.asarray(_by_jax(supersampled, altitudes, heights_m, params, oversample))
-    return np.where(is_obstacle, share.dtype.type(0), share)
-
-
 def soft_lidar(
     surface: Surface,
     altitude_m: Float[Array, ""] | float,
@@ -458,15 +441,13 @@ def soft_lidar(
 
 def _map(scene: Scene, params: Lidar) -> dict[str, AnyArray]:
     """Return the lidar's map at one altitude (`Metric.compute`), by rays through the finer surface if there is one."""
-    altitudes_m = [scene.altitude_m]
-    engine = scene.engine
+    arguments = [scene.altitude_m], params, scene.engine
     if scene.supersampled is None:
-        return {"lidar": np.asarray(compute_lidar(scene.surface, altitudes_m, params, engine))[0]}
-    is_obstacle = scene.is_obstacle[None]
-    maps = lidar_at_centres(
-        scene.supersampled, scene.oversample, is_obstacle, altitudes_m, params, engine
-    )
-    return {"lidar": maps[0]}
+        maps = compute_lidar(scene.surface, *arguments)
+    else:
+        is_obstacle = scene.is_obstacle[None]
+        maps = compute_lidar(scene.supersampled, *arguments, scene.oversample, is_obstacle)
+    return {"lidar": np.asarray(maps)[0]}
 
 
 def _ready(surface: Surface, altitudes_m: Sequence[float], params: Lidar, *_: Any) -> Array:

@@ -38,7 +38,7 @@ HOUR_OF_WEEK = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
 
 FILES = ("blocks", "table", "districts", "blocks_day", "blocks_night")
 FACTORS = (
-    *("gamma_commercial", "gamma_residential", "weekday", "weekend"),
+    *("gamma_commercial", "gamma_residential"),
     *("districts", "commercial", "blocks", "table", "column"),
 )
 
@@ -67,8 +67,6 @@ class Population:
       normalise: where m is 1: ``"max"``, the highest block of the region at that time of day (the paper);
         ``"p95"`` or another percentile of its inhabited blocks; or a number of people per km2 (per block
         under ``"count"``). Blocks above a percentile or a number get 1.
-      weekday, weekend: 24 shares in [0, 1], one an hour: 0 is the night population, 1 the day population; left out,
-        `PROFILES`.
       blocks: census blocks, a vector file; or a raster of people without a table, each pixel of which is a block
         (WorldPop, GHSL, LandScan).
       block_field: field of the blocks file with one id a block.
@@ -99,8 +97,6 @@ class Population:
     gamma_residential: float = 0.5
     quantity: Literal["density", "count"] = "density"
     normalise: str | float = "max"
-    weekday: tuple[float, ...] | None = None
-    weekend: tuple[float, ...] | None = None
     blocks: str | Path | None = None
     block_field: str = "GEOID10"
     table: str | Path | None = None
@@ -115,16 +111,10 @@ class Population:
 
     def __post_init__(self) -> None:
         """Check the settings, and write labels and times of day, in place, as tuples; errors as of the class."""
-        # The numbers: factors, the percentile of the scale, and the shares by hour.
+        # The numbers: factors, and the percentile of the scale.
         gammas = "gamma_commercial", "gamma_residential"
         check_fields(self, gammas, "finite and not negative", is_not_negative)
         _percentile(self.normalise)  # raises InputError for an invalid one
-        for name in ("weekday", "weekend"):
-            shares = self.profile(name)
-            if len(shares) != 24 or not all(0 <= share <= 1 for share in shares):
-                raise InputError(
-                    f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}"
-                )
 
         # Files that need polygons of blocks.
         needs_blocks = (self.table, self.districts, self.column) != (None, None, None)
@@ -142,7 +132,7 @@ class Population:
                 f"time_of_day must be different names such as day and night, got {[*self.time_of_day]}"
             )
         for time_of_day in self.times_of_day:
-            day_share(time_of_day, self)  # raises InputError for an unknown one
+            day_share(time_of_day)  # raises InputError for an unknown one
 
         # Counts by day and by night, which stand in the place of blocks with factors.
         if (self.blocks_day is None) != (self.blocks_night is None):
@@ -196,19 +186,6 @@ class Population:
             return tuple(self.commercial)
         is_new_york = self.district_field.lower().replace("_", "") == "borocd"
         return PAPER_COMMERCIAL if is_new_york else ()
-
-    def profile(self, name: str) -> tuple[float, ...]:
-        """Return the 24 shares of ``"weekday"`` or ``"weekend"``.
-
-        Returns:
-          The shares, 0 to 1, one an hour from 0 to 23; those of `PROFILES` where none were named.
-
-        Examples:
-          >>> [round(share, 2) for share in ju.Population().profile("weekday")[7:10]]
-          [0.33, 0.67, 1.0]
-        """
-        shares = getattr(self, name)
-        return PROFILES[name] if shares is None else shares
 
 
 def check_has_people(params: Population | None, has_people: bool) -> None:
@@ -301,12 +278,11 @@ def _percentile(normalise: str | float) -> float | None:
     )
 
 
-def day_share(time_of_day: str, params: Population | None = None) -> float:
+def day_share(time_of_day: str) -> float:
     """Return the share of the change from night to day that has happened: 0 is the night's population, 1 the day's.
 
     Args:
       time_of_day: ``"day"``, ``"night"``, or an hour of the week such as ``"weekday-08"`` or ``"weekend-14"``.
-      params: hold the profiles of the week; left out, the default ones.
 
     Raises:
       InputError: no such time of day.
@@ -320,8 +296,7 @@ def day_share(time_of_day: str, params: Population | None = None) -> float:
             f"time_of_day must be 'day', 'night' or an hour such as 'weekday-08' or 'weekend-23', "
             f"got {time_of_day!r}{hint}"
         )
-    shares = PROFILES[match[1]] if params is None else params.profile(match[1])
-    return float(shares[int(match[2])])
+    return float(PROFILES[match[1]][int(match[2])])
 
 
 def block_people(
@@ -476,7 +451,7 @@ def _made_ready(
     """
     if blocks.day_count is not None:
         params.check_has_no_factor()
-    shares = [day_share(time_of_day, params) for time_of_day in params.times_of_day]
+    shares = [day_share(time_of_day) for time_of_day in params.times_of_day]
     return BlockPopulation.of(blocks, bounds_m), np.array(shares, np.float32)
 
 
@@ -517,7 +492,7 @@ def soft_population(
     Raises:
       InputError: no such time of day.
     """
-    m, _, _ = block_values(population, day_share(time_of_day, params), params)
+    m, _, _ = block_values(population, day_share(time_of_day), params)
     has_samples = block.ndim > 2
     if cells is not None:
         block = block[cells[:, 0], cells[:, 1]]

@@ -98,19 +98,13 @@ def reach_of(value_m: Any, reach_m: float | None, name: str) -> float:
     Raises:
       InputError: ``value_m`` is traced and ``reach_m`` is missing, or ``reach_m`` is too short or no length.
     """
-    if reach_m is None:
-        if not is_known(value_m):
-            raise InputError(
-                f"{name} is traced by JAX: give reach_m, a number of metres it never exceeds"
-            )
-        return float(value_m)
-    if not (is_known(reach_m) and math.isfinite(reach_m) and reach_m > 0):
+    reach: Any = value_m if reach_m is None else reach_m
+    is_length = is_known(reach) and 0 < reach < math.inf
+    if not is_length or (is_known(value_m) and value_m > reach):
         raise InputError(
-            f"reach_m must be a positive number of metres, not traced by JAX, got {reach_m}"
+            f"reach_m must be a number of metres, not traced by JAX, that {name} never exceeds, got {reach_m}"
         )
-    if is_known(value_m) and float(value_m) > reach_m:
-        raise InputError(f"reach_m must be at least {name}, {float(value_m):g} m, got {reach_m:g}")
-    return float(reach_m)
+    return float(reach)
 
 
 def check_softness(softness_m: Any) -> None:

@@ -1,7 +1,7 @@
 """The maps that no metric makes, and the statistics over time of those that one does: what and how."""
 
 from collections.abc import Container, Hashable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -126,8 +126,8 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
 
     Of a metric that costs nothing there is its highest value over the times alone, under ``"series"``.
 
-    ``"series"`` are statistics of a cell over many times, ``"region"`` statistics of all free cells over many times,
-    ``"bounds"`` what brackets the map, ``"spread"`` statistics over uncertain heights.
+    ``"series"`` are statistics of a cell over many times, ``"bounds"`` what brackets the map, ``"spread"`` statistics
+    over uncertain heights.
     """
     own = metric.variables[metric.name]
 
@@ -146,10 +146,6 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
         "median": ("median over time", own.one_means),
         "p05": ("5th percentile over time", own.one_means),
     }
-    region = {
-        "epoch_mean": ("mean over free cells", own.one_means),
-        "worst_time": ("time of the least mean over free cells", ""),
-    }
     bounds = {"lower": ("at least", ""), "upper": ("at most", "")}
     spread = {
         "mean": (f"mean {uncertain}", ""),
@@ -162,10 +158,9 @@ def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
     if not metric.is_cost:
         highest = {HIGHEST: ("highest over time", "")}
         over_time = _variants(replace(own, dims=without_time), highest)
-        return {"series": over_time, "region": {}, "bounds": {}, "spread": {}}
+        return {"series": over_time, "bounds": {}, "spread": {}}
     return {
         "series": _variants(replace(own, dims=without_time), series),
-        "region": _variants(own, region),
         "bounds": _variants(own, bounds),
         "spread": _variants(own, spread),
     }
@@ -211,8 +206,6 @@ def no_value(dtype: np.dtype) -> Any:
 
 LOW_SHARE = 0.05  # of the times: the percentile kept beside the median
 CELLS_AT_ONCE = 2**13  # a block's values at all times stay in a core's cache
-# Means over cells add up whole numbers of 1 / SCALE, so that no order of tiles changes them.
-SCALE = 2.0**14
 
 
 def series_statistics(
@@ -267,45 +260,3 @@ def _quantile(ordered: AnyArray, share: float) -> AnyArray:
     low = ordered[..., below]
     high = ordered[..., min(below + 1, last)]
     return low + np.float32(position - below) * (high - low)
-
-
-@dataclass
-class TimeTotals:
-    """Sums of m over free cells, time by time, gathered tile by tile in any order.
-
-    Attributes:
-      m_sum: ``[T, A]`` int64 sum of round(m x `SCALE`).
-      num_free: ``[A]`` int64 cells that are not obstacles and have data.
-    """
-
-    m_sum: np.ndarray
-    num_free: np.ndarray
-
-    @classmethod
-    def of(cls, facts: Mapping[str, Any]) -> "TimeTotals":
-        """Return the sums in `facts`, which JSON can hold."""
-        return cls(np.array(facts["m_sum"], np.int64), np.array(facts["num_free"], np.int64))
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """The sums as lists of numbers."""
-        return {"m_sum": self.m_sum.tolist(), "num_free": self.num_free.tolist()}
-
-    def __add__(self, other: "TimeTotals") -> "TimeTotals":
-        return TimeTotals(self.m_sum + other.m_sum, self.num_free + other.num_free)
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Mean m of each time over free cells, ``[T, A]`` float64; 0 where no cell is free."""
-        return self.m_sum / SCALE / np.maximum(self.num_free, 1)
-
-    @property
-    def worst(self) -> np.ndarray:
-        """Index of the time of least mean, ``[A]``; the earliest of several."""
-        return self.m_sum.argmin(axis=0)
-
-
-def add_totals(totals: dict[str, TimeTotals], more: Mapping[str, TimeTotals]) -> None:
-    """Add the sums of a part of a region to those of others, by metric, in place."""
-    for name, sums in more.items():
-        totals[name] = totals[name] + sums if name in totals else sums

@@ -115,18 +115,16 @@ def visible_words(
       sky: the satellites over this surface.
     """
     surface = surface.of_hiding()
-    rows, cols = surface.window
-    window = rows.start, rows.stop, cols.start, cols.stop
     height_m = _heights(surface.crop(surface.terrain_m), altitudes_m)
-    return sweep.words_along_lines(surface.top_m, height_m, sky.lines, sky.num, window=window)
+    return sweep.words_along_lines(
+        surface.top_m, height_m, sky.lines, sky.num, window=surface.window_ends
+    )
 
 
 def traced_shadows(surface: Surface, sky: SkyView) -> Float[Array, "S y x"]:
     """Return `shadows_over` by JAX, with satellites without effect too; arguments may be traced."""
     surface = surface.of_hiding()
-    rows, cols = surface.window
-    window = rows.start, rows.stop, cols.start, cols.stop
-    top_m = sweep.heights_in_rounds(surface.top_m, sky.lines, window)
+    top_m = sweep.heights_in_rounds(surface.top_m, sky.lines, surface.window_ends)
     return _above_ground(top_m, surface.crop(surface.terrain_m))
 
 

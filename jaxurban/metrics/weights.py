@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxurban.checks import MOST, nearest_name, typed
+from jaxurban.checks import MOST, finite, nearest_name, typed
 from jaxurban.errors import InputError
 from jaxurban.metrics.base import AnyArray as AnyArray
 from jaxurban.metrics.registry import METRICS, known_metrics
@@ -273,10 +273,7 @@ def _number(name: str, value: Any) -> float:
     Raises:
       InputError: it is not a number, negative, above `MOST_WEIGHT` or not finite.
     """
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = np.nan
+    number = finite(f"weight {name}", value, "")
     if not 0 <= number <= MOST_WEIGHT:
         raise InputError(
             f"weight {name} must be a finite number >= 0, at most {MOST_WEIGHT:.0e}, got {value}"

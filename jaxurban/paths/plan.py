@@ -11,7 +11,7 @@ from jaxurban.checks import finite, typed
 from jaxurban.errors import InputError
 from jaxurban.maps.free_memory import free_bytes
 from jaxurban.maps.levels import Levels, around, values_at
-from jaxurban.maps.memory import distinct_texts
+from jaxurban.maps.memory import format_bytes
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.weights import WeightsLike, weights_on
 from jaxurban.paths.choices import PathChoice, parted
@@ -203,10 +203,10 @@ def _check_fits(num_levels: int, grid: Grid) -> None:
     needed_bytes = num_levels * math.prod(grid.shape) * NODE_BYTES
     available_bytes = free_bytes()
     if needed_bytes > available_bytes:
-        needed, available = distinct_texts(needed_bytes, available_bytes)
         raise InputError(
-            f"a volume of {num_levels} levels of {grid.num_rows} x {grid.num_cols} cells takes up to {needed} of "
-            f"memory and {available} are free: choose a longer level_step_m, closer altitude bounds, or coarser maps"
+            f"a volume of {num_levels} levels of {grid.num_rows} x {grid.num_cols} cells takes up to "
+            f"{format_bytes(needed_bytes)} of memory and {format_bytes(available_bytes)} are free: choose a longer "
+            "level_step_m, closer altitude bounds, or coarser maps"
         )
 
 

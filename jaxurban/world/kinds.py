@@ -7,11 +7,11 @@ turbines stand with the discs that they sweep, most of which is empty.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.settings import Preset
+from jaxurban.settings import Preset, as_tuple
 from jaxurban.world.footprints import BUILDING, UNKNOWN
 
 KindName = Literal[
@@ -88,9 +88,8 @@ class Obstacles:
     kinds: tuple[KindName, ...] | None = None
 
     def __post_init__(self) -> None:
-        given: Any = self.kinds  # one text is taken for several
-        if given is not None:
-            kinds = (given,) if isinstance(given, str) else tuple(given)
+        if self.kinds is not None:
+            kinds = as_tuple(self.kinds)
             if BUILDING not in kinds:
                 raise InputError(f"kinds must hold {BUILDING!r}, got {[*kinds]}: add it")
             object.__setattr__(self, "kinds", kinds)

@@ -93,11 +93,3 @@ class Sky:
             systems=tuple(self.systems[s] for s in kept),
             element_age_days=self.element_age_days[:, kept],
         )
-
-    def count_by_system(self) -> dict[str, list[int]]:
-        """Return how many satellites are in view at each time, ``[T]`` by constellation in order of its name."""
-        systems = np.asarray(self.systems)
-        return {
-            name: self.is_in_view[:, systems == name].sum(axis=1).tolist()
-            for name in sorted(set(self.systems))
-        }

@@ -296,6 +296,12 @@ class Surface:
         """Slices that cut the region out of arrays on ``grid``."""
         return self.region.window_in(self.grid)
 
+    @property
+    def window_ends(self) -> tuple[int, int, int, int]:
+        """First and end row, first and end column of the region in arrays on ``grid``."""
+        rows, cols = self.window
+        return rows.start, rows.stop, cols.start, cols.stop
+
     def crop(self, values: Any) -> Any:
         """Return the region's part of an array whose last two axes are on ``grid``; None of None."""
         return self.part(values)

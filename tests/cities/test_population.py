@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxurban as ju
+from figures.paper.common import population_totals
 from jaxurban.cities.census import (
     clean_polygons,
     largest_overlap,
@@ -19,7 +20,6 @@ from jaxurban.cities.census import (
     zoning_of,
 )
 from jaxurban.io.city import City
-from jaxurban.maps.provenance import population_totals
 from jaxurban.metrics.population import block_layers
 from jaxurban.world.blocks import OTHER_DISTRICT, Zoning
 from jaxurban.world.footprints import Footprints
@@ -348,7 +348,7 @@ def test_pixels_of_two_rasters_of_one_grid_stay_whole_though_data_are_missing_in
         ({"blocks_night": None}, "go together"),
         ({"blocks": "b.tif"}, "leave out blocks"),
         ({"districts": "d.shp"}, "leave out districts"),
-        ({"gamma_commercial": 2.0, "weekend": (0.5,) * 24}, "leave out gamma_commercial, weekend"),
+        ({"gamma_commercial": 2.0, "column": "P"}, "leave out gamma_commercial, column"),
         ({"time_of_day": ("day", "weekday-08")}, "leave out time_of_day weekday-08"),
     ],
 )

@@ -5,7 +5,6 @@ import json
 import pyproj
 import pytest
 
-from jaxurban.errors import reason_of
 from jaxurban.flights.missions.mission import read_mission
 from jaxurban.flights.missions.parts import Leg, Place
 from tests.flights.test_mission import BOX, JUMP, RETURN, TAKEOFF, here, item, plan_of
@@ -200,12 +199,6 @@ def test_a_landing_of_an_unknown_autopilot_comes_down_from_either_height(read):
         ("ground", False),
     ]
     assert {leg.end for leg in down} == {here(3, 0.0, "ground")}
-
-
-def test_words_of_python_are_replaced_and_names_of_files_are_not():
-    assert reason_of(ValueError("zip() argument 2 is shorter")).startswith("lists that belong")
-    missing = FileNotFoundError(2, "No such file or directory", "recursion.plan")
-    assert reason_of(missing) == "No such file or directory"
 
 
 @pytest.mark.parametrize("command", [84, 85, 3000])

@@ -156,7 +156,7 @@ for city, altitudes_m, time in cities:
     for lidar in (ju.Lidar(), ju.Lidar(range_m=90.0)):  # of one class of ranges
         before = len(compiled)
         gps = ju.Gps(times=time, gdop_threshold=10.0 + len(counts))
-        people = ju.Population(credit=city.crs, commercial=[len(counts)], weekday=(0.1 * len(counts),) * 24)
+        people = ju.Population(credit=city.crs, commercial=[len(counts)])
         sections = {"gps": gps, "lidar": lidar, "population": people}
         maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=altitudes_m, **sections)
         assert {"gps", "lidar", "population", "risk"} <= set(maps.ds)

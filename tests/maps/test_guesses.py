@@ -16,7 +16,7 @@ from jaxurban.io.burn import burn
 from jaxurban.io.city import City
 from jaxurban.io.rasterise import build_surface
 from jaxurban.maps.build import view_sky
-from jaxurban.maps.guesses import leaving_shares
+from jaxurban.maps.guesses import leaving_share
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.run import run_scenario
 from jaxurban.maps.scenario import Scenario
@@ -193,7 +193,7 @@ def test_the_share_of_answers_beyond_the_data_is_that_of_rays_followed_one_by_on
     x_min, y_min, x_max, y_max = city.known_extent_m
     leaving = (x_m < x_min) | (x_m > x_max) | (y_m < y_min) | (y_m > y_max)
     assert 0.01 < np.mean(leaving) < 0.99
-    assert leaving_shares(city, region, sky, 20.0)[1] == pytest.approx(np.mean(leaving), abs=1e-12)
+    assert leaving_share(city, region, sky, 20.0) == pytest.approx(np.mean(leaving), abs=1e-12)
 
 
 def peopled(*sides_m):

@@ -277,9 +277,9 @@ def test_what_it_does_not_know_and_what_build_maps_refuses_is_refused(task):
         ),
         (
             lambda: inputs_of(replace(task, params=replace(PARAMS, oversample=3))),
-            "know no oversample",
+            "hold no oversample",
         ),
-        (lambda: inputs_of(hanging_city.task(hanging_city.city())), "know no slabs"),
+        (lambda: inputs_of(hanging_city.task(hanging_city.city())), "hold no slabs"),
     ]
     for call, words in refused:
         with pytest.raises(InputError, match=words):

@@ -71,9 +71,6 @@ def test_a_series_keeps_the_share_of_times_within_both_limits():
     shares = each.ds["within_limits"].mean("time").where(each.ds["obstacle"] == 0)
     np.testing.assert_allclose(series.ds["protection_availability"], shares, atol=1e-6)
     np.testing.assert_allclose(
-        series.ds["gps_epoch_mean"], each.ds["gps"].mean(("y", "x")), atol=1e-4
-    )
-    np.testing.assert_allclose(
         series.m("protection"), each.ds["protection"].median("time")[0], atol=1e-6
     )
     assert 0 < float(shares.mean()) < 1

@@ -1,6 +1,5 @@
 """Chimneys, masts and what is of unknown extent stand in all maps, as buildings do, which keep their numbers."""
 
-import json
 from dataclasses import replace
 
 import jax
@@ -15,7 +14,6 @@ import jaxurban as ju
 from jaxurban.io.city import City
 from jaxurban.io.rasterise import highest_top_m, rasterise
 from jaxurban.io.zone import cell_boxes
-from jaxurban.maps.provenance import _building_record
 from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.metrics.variables import GROUP_NUMBERS
 from jaxurban.receivers.outlines import Hiding
@@ -100,12 +98,6 @@ def test_a_chimney_hides_a_satellite_and_the_unknown_is_no_roof():
     expected = pd.DataFrame({"roof_height_m": [90.0, np.nan], "roof_distance_m": [40.0, np.nan]})
     pd.testing.assert_frame_equal(table[list(expected)], expected)
     assert table["margin_m"][1] == np.inf
-
-
-def test_the_record_of_a_run_counts_what_stands_by_kind():
-    record = json.loads(json.dumps(_building_record(works(), GRID)))
-    assert record["kinds"] == {"building": 2, "chimney": 1, "bridge": 1, "unknown": 1}
-    assert (record["in_region"], record["highest_m"], record["hanging_parts"]) == (2, 90.0, 1)
 
 
 def test_the_viewer_outlines_structures_and_what_is_unknown():

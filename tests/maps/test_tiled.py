@@ -361,11 +361,11 @@ def test_another_jobs_unfinished_work_is_not_gone_on_with(tmp_path):
     work = WorkFolder(tmp_path / WORK)
     work.begin("one")
     work.mark_zarr()
-    work.mark_done("tile_0_0", {}, {"num_free": [1]})
+    work.mark_done("tile_0_0", {})
     work.begin("one")
-    assert work.done("tile_0_0") == {"num_free": [1]}
+    assert work.is_done("tile_0_0")
     work.begin("two")
-    assert work.done("tile_0_0") is None
+    assert not work.is_done("tile_0_0")
 
 
 @pytest.mark.parametrize(

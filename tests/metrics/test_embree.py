@@ -16,7 +16,7 @@ from jaxurban.io.city import City
 from jaxurban.io.orbits import look_angles, read_orbits
 from jaxurban.io.rasterise import build_surface
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
+from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.visibility import bounding_visibility, shadow_reach_m, visibility
 from jaxurban.settings import SLABS, Buildings
 from jaxurban.world.footprints import Footprints
@@ -267,7 +267,7 @@ def test_a_lidar_on_a_hill_looking_down_agrees_with_embree():
     assert on_top.sum() > 20
     free = jnp.zeros((1, *REGION.shape), bool)
     plain = compute_lidar(world.surface(), [ALTITUDE_M], params)
-    fine = lidar_at_centres(world.surface(OVERSAMPLE), OVERSAMPLE, free, [ALTITUDE_M], params)
+    fine = compute_lidar(world.surface(OVERSAMPLE), [ALTITUDE_M], params, "auto", OVERSAMPLE, free)
     for m, bar in ((plain, 0.035), (fine, 0.012)):
         error = np.abs(np.asarray(m)[0, world.row, world.col] - expected)
         assert error.mean() <= bar

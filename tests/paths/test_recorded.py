@@ -175,7 +175,8 @@ def test_a_run_knows_its_scenario_in_memory_and_in_its_folder(tmp_path):
         assert (maps.recorded | recorded, maps.obstacles) == (maps.recorded, "centre")
     (tmp_path / "out" / "run.json").unlink()
     with pytest.raises(
-        ju.InputError, match=r"run.json.*is missing: run the same `jaxurban maps` command again"
+        ju.InputError,
+        match=r"run.json.*cannot be read .*: run the same `jaxurban maps` command again",
     ):
         ju.open_maps(tmp_path / "out")
 
