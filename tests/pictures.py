@@ -1,7 +1,10 @@
 """What a reader would find wrong with a picture at first sight, by the extents and colours that Matplotlib draws."""
 
+import re
+from base64 import b64decode
 from collections.abc import Callable, Iterator
 from unittest.mock import patch
+from xml.etree.ElementTree import Element, fromstring
 
 import numpy as np
 import shapely
@@ -24,6 +27,14 @@ CUT_PX = 0.5  # that a box may leave the figure by: rounding
 PLACES = 200  # of an artist where its contrast is looked at, at most
 AROUND = np.array([(-0.5, 0), (0.5, 0), (0, -0.5), (0, 0.5)])  # of a marker, by its size
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+SVG = "{http://www.w3.org/2000/svg}"  # before the name of an element
+PICTURE = re.compile(r'<img alt="[^"<>]*" src="data:image/svg\+xml;base64,([\w+/=]+)">')
+
+
+def pictures_in(html: str) -> list[Element]:
+    """Return the pictures of a piece of the viewer's page, as SVG."""
+    return [fromstring(b64decode(data)) for data in PICTURE.findall(html)]
 
 
 def drawn_artists(figure: Figure) -> list[Artist]:

@@ -33,7 +33,7 @@ from jaxurban.world.kinds import GROUPS
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
-CLEARANCE_TICKS_M = (0, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
+CLEARANCE_TICKS_M = (0, 5, 10, 30, 100, 300, 1000, 3000, 10_000)
 NO_FIX_PT = 1.0  # at the ends of what is shaded, so that a single cell is seen
 LIFT = 0.2  # of the first legend, over the numbers of segments
 HATCHED: Look = {"facecolor": "#00000033", "edgecolor": "white", "hatch": "/////", "linewidth": 0.0}
@@ -107,12 +107,10 @@ def plot_profile(
     for place, panel in enumerate(axes):
         panel.set_ylabel(letter(place, len(axes)) + panel.get_ylabel())
         for number, (from_m, to_m) in enumerate(without_fix(profile)):
-            is_named = place == 1 and number == 0
-            label = "no fix" if is_named else "_"
             panel.axvspan(
                 from_m / 1000,
                 to_m / 1000,
-                label=label,
+                label="no fix" if (place, number) == (1, 0) else "_",
                 color=NO_FIX_COLOUR,
                 linewidth=NO_FIX_PT,
                 zorder=0,

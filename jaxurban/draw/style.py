@@ -137,11 +137,11 @@ def wrapped(text: str, width_in: float, size_pt: float = SMALL_PT) -> str:
     # As few lines as fit, about equally long, so that no word stands alone.
     lines = []
     for line in KEPT.sub(FIXED_SPACE, text).splitlines():
-        num_lines = len(textwrap.wrap(line, num_letters)) or 1
-        width = max(len(line) // num_lines, 1, *map(len, line.split(" ")))
-        while len(textwrap.wrap(line, width)) > num_lines:
-            width += 1
-        lines.append(textwrap.fill(line, min(width, num_letters)))
+        num_lines = len(textwrap.wrap(line, num_letters))
+        longest = max(map(len, line.split(" ")))
+        widths = range(max(longest, 1), num_letters)
+        enough = (width for width in widths if len(textwrap.wrap(line, width)) <= num_lines)
+        lines.append(textwrap.fill(line, next(enough, num_letters)))
     # Where a line ends between two facts, their dot has nothing more to part.
     return "\n".join(lines).replace(FIXED_SPACE, " ").replace("  ·\n", "\n")
 
@@ -314,7 +314,7 @@ def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray, **look: An
     mark_boxes = [Bbox([place, place]).padded(MARK_PT * dots_per_pt) for place in middles]
     taken = mark_boxes.copy()
     for name, place in zip(names, marks, strict=False):
-        text = panel.annotate(name, place, (0, 0), textcoords=POINTS, **look)
+        text = panel.annotate(name, place, (0, 0), textcoords=POINTS, parse_math=False, **look)
 
         # The nearest free place: if there is one, such that no mark but its own is as near.
         for most, away_pt, right, up in product((1, len(marks)), AWAY_PT, STEPS, STEPS):

@@ -23,7 +23,6 @@ REPORT_FILE = "report.md"
 DUST = 1e-9  # what a sum of shares or metres leaves by rounding, which is no number
 DPI = 300  # of images, which the IEEE asks of colour
 NUM_COLOURS = 256  # of a PNG
-SAMPLED = 3  # its colours are chosen from every third row and column
 # A text, a table, or what draws a picture or writes a map.
 Output = str | pd.DataFrame | Callable[..., Any]
 Outputs = dict[str, Output]  # by file name
@@ -134,12 +133,8 @@ def write_picture(figure: Figure, file: str | Path, suffix: str = "", dpi: float
     canvas.draw()
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 
-    # Colours are chosen from every third row and column, so that rare ones, as of lines and legends, have theirs too:
-    # by median cut they would lose them.
-    sampled_size = image.width // SAMPLED, image.height // SAMPLED
-    sampled = image.resize(sampled_size, Image.Resampling.NEAREST)
-    palette = sampled.quantize(NUM_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1)
-    few_colours = image.quantize(palette=palette, dither=Image.Dither.NONE)
+    # By coverage, so that rare colours, as of lines and legends, have theirs too: by median cut they would lose them.
+    few_colours = image.quantize(NUM_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     few_colours.save(file, format="png", optimize=True, dpi=(dpi, dpi))
 
 
@@ -219,20 +214,19 @@ def cell(value: Any) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] = cell) -> str:
+def interval(row: Mapping[Any, Any], name: Any) -> str:
     """Return a value of a table's row as text, with its interval where it has one: ``0.42 (0.29 to 0.54)``.
 
     Args:
       row: values by the names of columns; the ends of the interval are NAME_low and NAME_high, which are missing or NaN
         where there is none.
       name: of the value's column.
-      text_of: returns the text of a number.
     """
-    text = text_of(row[name])
+    text = cell(row[name])
     low = row.get(f"{name}_low", math.nan)
     if not np.isfinite(low):
         return text
-    return f"{text} ({text_of(low)} to {text_of(row[f'{name}_high'])})"
+    return f"{text} ({cell(low)} to {cell(row[f'{name}_high'])})"
 
 
 def joined_with_and(items: Iterable[str]) -> str:

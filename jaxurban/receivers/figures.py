@@ -75,7 +75,7 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
             "marker": MARKERS[number % len(MARKERS)],
             "facecolors": SERIES_COLOURS[number % len(SERIES_COLOURS)],
         }
-        label = f"{system.upper()}, {state}{MARKS[state]}"
+        label = f"{system.upper()}, {state}{MARKS[state]}".replace("$", r"\$")  # no mathematics
         panel.scatter(*sky_places(rows).T, label=label, **(look | state_look))
     labels = panel.get_legend_handles_labels()[1]
     num_cols = legend_columns(labels, inches(width))

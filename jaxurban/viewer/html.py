@@ -102,13 +102,8 @@ def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
         )
 
     # The finest stride that fits.
-    shape = viewer.maps.grid.shape
     maps = list(_maps_of(viewer))
-    for stride in strides_of(shape):
-        # No need to try where a bit per cell is too much: a map deflates to a few bits per cell or more.
-        least_bytes = len(maps) * math.prod(shape) / stride**2 / 8
-        if least_bytes > most_bytes:
-            continue
+    for stride in strides_of(viewer.maps.grid.shape):
         page = _page(viewer, maps, stride, most_bytes)
         if page is not None:
             write_whole(file, page)

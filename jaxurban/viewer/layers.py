@@ -15,6 +15,7 @@ from jaxurban.draw.metrics import (
     colours_of,
     drawn_variables,
     metric_colours,
+    obstacle_patches,
     values_of,
 )
 from jaxurban.draw.paths import COST_COLOURS
@@ -32,11 +33,8 @@ from jaxurban.viewer.markup import legend
 
 # Of the causes that close cells without an obstacle.
 CAUSE_COLOURS = "#8da0cb", "#66c2a5", "#a6d854", "#fc8d62", "#e78ac3"
-H_NORM, COST_OF, POSITION_ERROR = "h_norm", "cost:", "position_error"
+H_NORM, COST_OF = "h_norm", "cost:"
 BAR_COLOURS = 256  # steps of the bar of a layer without classes
-RANGE_ERROR_M = 5.0  # of a satellite's range, standard deviation, a round figure: the position's is HDOP times it
-ERROR_LABEL = f"Horizontal position error in metres, low is good: HDOP x {RANGE_ERROR_M:g} m"
-ERROR_COLOURS = Colours("viridis_r", Normalize(0, 50), ERROR_LABEL, extend="max")
 CLOSED = Variable(
     "closed",
     "closed to routes",
@@ -119,8 +117,6 @@ class DrawnLayer:
         maps, name = self.maps, self.name
         if self.cost_of:
             name = self.cost_of.name
-        if name == POSITION_ERROR:
-            return RANGE_ERROR_M * maps.m("hdop", at.altitude_m, time=at.time)
         altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
         if name == CLOSED.name:
             return causes_at(maps, rules_on(maps, None, None, "")[2], altitude_m)
@@ -141,8 +137,6 @@ class DrawnLayer:
         """
         if self.name == H_NORM:
             return COST_COLOURS
-        if self.name == POSITION_ERROR:
-            return ERROR_COLOURS
         if self.name in LABELS:
             return colours_of(self.variable, lambda: values, LABELS[self.name])
         metric = self.cost_of
@@ -184,11 +178,7 @@ def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
 
     add(CLOSED.name, CLOSED, "Costs")
 
-    # What the page computes from HDOP, then the variables that are no metric.
-    if "hdop" in variables:
-        dims = variables["hdop"].dims
-        error = Variable(POSITION_ERROR, "horizontal position error", dims=dims, unit="m")
-        add(POSITION_ERROR, error, "Satellites")
+    # The variables that are no metric.
     for group in ("Satellites", "Ground", "Further maps"):
         for name, variable in variables.items():
             if name not in maps.metrics and group == _group(maps, variable):
@@ -239,17 +229,16 @@ def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "")
 
     # Flat colours: of pixels, and of the patches of the legend.
     zero_pixel = _packed(EMPTY_COLOUR) if zero else None
-    patches = []
-    if zero:
-        patches.append((zero, EMPTY_COLOUR))
-    if layer.is_hidden:
-        patches.append(("obstacle", layer.blocked))
-    if layer.name != CLOSED.name:
-        patches.append(CLOSED_PATCH)
-    if FIX in maps.ds:
-        patches.append(NO_FIX_PATCH)
-    if np.isnan(values).any() or not maps.ds["has_data"].values.all():
-        patches.append(NO_DATA_PATCH)
+    obstacle, *no_data = obstacle_patches(maps, layer.blocked)
+    if np.isnan(values).any():
+        no_data = [NO_DATA_PATCH]
+    candidates = {
+        (zero, EMPTY_COLOUR): zero,
+        obstacle: layer.is_hidden,
+        CLOSED_PATCH: layer.name != CLOSED.name,
+        NO_FIX_PATCH: FIX in maps.ds,
+    }
+    patches = [patch for patch, is_drawn in candidates.items() if is_drawn] + no_data
 
     # Classes are patches too and have no bar; a bar has `BAR_COLOURS` colours, each that of its middle.
     ticks: list[float] = []

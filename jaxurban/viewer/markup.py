@@ -1,28 +1,24 @@
-"""Pieces of the page that Python writes: lists to choose from, legends, tables and the profile."""
+"""Pieces of the page that Python writes: lists to choose from, legends, tables and figures."""
 
+from base64 import b64encode
 from collections.abc import Container, Iterable, Mapping, Sequence
 from html import escape
+from io import BytesIO
+from threading import Lock
 
 import numpy as np
-import pandas as pd
-from matplotlib.ticker import MaxNLocator
+from matplotlib.figure import Figure
 
-from jaxurban.draw.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR, beneath
+from jaxurban.draw.profile import plot_profile
+from jaxurban.draw.style import bare
 from jaxurban.flights.export.write import FORMATS
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.variables import GROUP_COLOURS
-from jaxurban.paths.route_report import CLEARANCE, GUESSED, short
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.route_report import RouteReport, short
 
-# Of the profile, in pixels: its size, the borders of its two panels from above, the height of the lower panel's axis,
-# and that of a line of text.
-WIDE, HIGH = 1000, 150
-TOP, MIDDLE, BOTTOM = 7, 62, 134
-METRICS_HIGH, LETTERS = 52, 14
-GUESSED_HATCH = "repeating-linear-gradient(135deg,#4a4a4a 0 2px,#fff 2px 4px)"
-HATCHES = (
-    '<pattern id="jv-guessed" width="6" height="6" patternUnits="userSpaceOnUse">'
-    '<path d="M0 6L6 0" stroke="#fff"/></pattern>'
-)
-MOST_STEPS = 1000  # of a line of the profile
+PANEL_IN = 1.0  # height of a panel of a profile, which has the width of a column
+DRAWING = Lock()  # the look of figures is set for the whole process while one is drawn
 
 
 def number(value: float | None) -> str:
@@ -160,110 +156,22 @@ def legend(
     return f'<figcaption>{escape(label)}</figcaption>{scale}<div class="jv-patches">{flat}</div>'
 
 
-def profile(
-    table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: Iterable[tuple[float, float]]
-) -> str:
-    """Return what a route meets as SVG: flight and roofs above, the metrics below, labels and a key.
-
-    The drawing is stretched to the page's width, `WIDE` for the whole route; its height and its letters are not.
-
-    Args:
-      table: a row for each crossing of a cell, as `RouteReport.profile`.
-      lines: label and colour of each metric, by name.
-      no_fix: begin and end of each segment without a fix, metres along the route.
-    """
-    # Scales: `WIDE` for the whole route (a metre, if it has no length), the upper panel for what is highest.
-    total_m = table["to_m"].iloc[-1] or 1.0
-    flight_m = table["z_m"].max()
-    roof_m = table["roof_m"].max()
-    per_m = (MIDDLE - TOP) / max(flight_m, roof_m, 1.0)
-
-    # Lines go through a begin and an end of each crossing, or of `MOST_STEPS` among them.
-    num_steps = min(len(table), MOST_STEPS)
-    steps = np.unique(np.linspace(0, len(table) - 1, num_steps).astype(int))
-    steps_m = table[["from_m", "to_m"]].to_numpy()[steps].ravel()
-
-    def trace(column: pd.Series, zero_y: float, per_one: float) -> str:
-        """Return the path of a line of values by crossing, 0 at ``zero_y`` and 1 higher by ``per_one`` pixels."""
-        x = WIDE * steps_m / total_m
-        y = np.repeat(zero_y - per_one * column.to_numpy()[steps], 2)
-        points = np.stack([x, y], axis=-1).tolist()
-        return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
-
-    # Roofs by group, over them hatches where their heights are guessed.
-    roofs = beneath(table)
-    keys = {name: colour for name, (colour, _) in roofs.items()}
-    if GUESSED in table:
-        roofs["guessed"] = "url(#jv-guessed)", table["roof_m"].fillna(0.0) * table[GUESSED]
-        keys["of guessed height"] = GUESSED_HATCH
-    shapes = HATCHES + "".join(
-        f'<path d="{trace(values_m, MIDDLE, per_m)}L{WIDE} {MIDDLE}L0 {MIDDLE}Z" fill="{colour}" stroke="none"/>'
-        for colour, values_m in roofs.values()
-    )
-
-    # Segments without a fix, the metrics and the flight.
-    shaded = "".join(
-        f'<rect x="{WIDE * begin / total_m:.1f}" y="{TOP}" height="{BOTTOM - TOP}" fill="{NO_FIX_COLOUR}" '
-        f'width="{max(WIDE * (end - begin) / total_m, 1):.1f}"/>'
-        for begin, end in no_fix
-    )
-    metrics = "".join(
-        f'<path d="{trace(table[name], BOTTOM, METRICS_HIGH)}" stroke="{colour}"/>'
-        for name, (_, colour) in lines.items()
-    )
-    flight_line = trace(table["z_m"], MIDDLE, per_m)
-    flight = f'<path d="{flight_line}" stroke="{ALTITUDE_COLOUR}"/>'
-
-    # Texts along the route: round distances, and the least clearance, which has a line of its own too.
-    places = [(at_m / total_m, BOTTOM + 2, text) for at_m, text in _distances(total_m)]
-    nearest = table.iloc[np.argmin(table[CLEARANCE])]
-    least_m = nearest[CLEARANCE]
-    if np.isfinite(least_m):
-        share = nearest[["from_m", "to_m"]].mean() / total_m
-        places.append((share, MIDDLE + 1, f"least clearance {number(least_m)} m"))
-        metrics += f'<path d="M{WIDE * share:.1f} {TOP}V{MIDDLE + 3}" stroke="#1f2429" stroke-dasharray="2 2"/>'
-    # At a third of the way a third of a text lies left of its place, and so on, so that none leaves the drawing.
-    words = _height_words(flight_m, roof_m, per_m) + "".join(
-        f'<span style="top:{y}px;left:{share:.2%};transform:translateX({-share:.0%})">{text}</span>'
-        for share, y, text in places
-    )
-
-    # The key.
-    keys |= {"flight": ALTITUDE_COLOUR, **dict(lines.values())}
-    if shaded:
-        keys["no fix"] = NO_FIX_COLOUR
-    key = "".join(f"<span>{dot(colour)}{escape(label)}</span>" for label, colour in keys.items())
-    return (
-        f'<div><svg viewBox="0 0 {WIDE} {HIGH}" preserveAspectRatio="none" fill="none" stroke-width="1.4">'
-        f'{shaded}{shapes}{flight}{metrics}<path class="jv-here" d="M0 {TOP}V{BOTTOM}" stroke="#000" '
-        f'transform="translate(-9)"/></svg>{words}</div><p>{key}</p>'
-    )
+def picture(figure: Figure, text: str) -> str:
+    """Return a figure as an image, of which ``text`` says what it shows."""
+    file = BytesIO()
+    figure.savefig(file, format="svg", transparent=True)
+    data = b64encode(file.getvalue()).decode()
+    return f'<img alt="{escape(text)}" src="data:image/svg+xml;base64,{data}">'
 
 
-def _height_words(flight_m: float, roof_m: float, per_m: float) -> str:
-    """Return the texts on the axes of both panels.
-
-    Args:
-      flight_m, roof_m: the highest flight and the highest roof; the roof's text is left out where it has no room.
-      per_m: pixels of the upper panel for a metre.
-    """
-    text_at = {MIDDLE - per_m * flight_m: f"{flight_m:g} m", MIDDLE: "0 m"}
-    roof_y = MIDDLE - per_m * roof_m
-    if roof_m > 0 and min(abs(roof_y - y) for y in text_at) > LETTERS:
-        text_at[roof_y] = f"{number(roof_m)} m"
-    text_at |= {BOTTOM - METRICS_HIGH: "1", BOTTOM: "0"}
-    return "".join(
-        f'<b style="top:{y - LETTERS / 2:.0f}px">{text}</b>' for y, text in text_at.items()
-    )
-
-
-def _distances(total_m: float) -> list[tuple[float, str]]:
-    """Return round distances along a route of ``total_m`` above 0, seven at most, each in metres and as a text.
-
-    The first text alone has the unit, so that they do not touch on a narrow page.
-    """
-    # The least of 1, 2, 5 and 10 times a power of ten that makes six steps or fewer.
-    distances_m = MaxNLocator(6, steps=[1, 2, 5, 10]).tick_values(0, total_m)
-    unit, unit_m = ("km", 1000) if total_m >= 1000 else ("m", 1)
-    places = [(at_m, f"{at_m / unit_m:g}") for at_m in distances_m if at_m <= total_m]
-    return [(0.0, f"0 {unit}"), *places[1:]]
+def profile(planned: PlannedPath, maps: MetricMaps, report: RouteReport) -> str:
+    """Return the profile of a route (`plot_profile`) and, over its panels, a line at the place that is pointed at."""
+    with DRAWING:
+        figure = plot_profile(planned, maps, report, width="column")
+        text = figure.get_suptitle()
+        bare(figure).set_figheight(PANEL_IN * len(figure.axes))
+        image = picture(figure, text)
+    highest, *_, lowest = (panel.get_position() for panel in figure.axes)
+    inset = f"{1 - highest.y1:.2%} {1 - highest.x1:.2%} {lowest.y0:.2%} {highest.x0:.2%}"
+    along = f'<div class="jv-along" style="inset:{inset}"><i class="jv-here" hidden></i></div>'
+    return f"<div>{image}{along}</div>"

@@ -271,8 +271,8 @@ def _count_one(_: object) -> int:
 
 
 def _route_key(query: Plan) -> str:
-    """Return a text that is the same for all queries of one route, which speed and power do not change."""
-    return query.model_dump_json(exclude={"speed_m_s", "power_w"})
+    """Return a text that is the same for all queries of one route; speed, power and its file do not change it."""
+    return query.model_dump_json(exclude={"speed_m_s", "power_w", "format"})
 
 
 def _budget_s(planner: str) -> float:

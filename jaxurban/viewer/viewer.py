@@ -31,7 +31,7 @@ from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.profile import cautious_profile, without_fix
+from jaxurban.paths.profile import cautious_profile
 from jaxurban.paths.route_report import CLEARANCE, RouteReport
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import BY_METHOD, PLANNERS
@@ -613,12 +613,7 @@ class Viewer:
         mission = self.plans.mission(query, at)
         table, totals = report.profile, report.totals
 
-        # The profile, with a line for each metric.
-        lines = {
-            name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()
-        }
-        profile = markup.profile(table, lines, without_fix(table))
-        profile += sentences([("note", rules_said(planned.settings))])
+        rules = sentences([("note", rules_said(planned.settings))])
 
         # The waypoints, and how they differ from the route.
         lonlat = waypoints(mission).lonlat
@@ -631,7 +626,7 @@ class Viewer:
         return {
             "cautions": sentences((caution.level, caution) for caution in report.cautions),
             "totals": markup.rows(_total_rows(report, planned)),
-            "profile": profile,
+            "profile": markup.profile(planned, self.maps, report) + rules,
             "to_share": np.round(table["to_m"].to_numpy() / length_m, 5),
             "xy": self._on_page(table[["lon", "lat"]].to_numpy()),
             "report-text": escape(report.table()),
@@ -664,8 +659,7 @@ class Viewer:
         Raises:
           InputError: there is no such format, or no route.
         """
-        route = Plan(**query.model_dump(exclude={"format"}))
-        return self.plans.file(route, self.flight(query), query.format)
+        return self.plans.file(query, self.flight(query), query.format)
 
 
 def _total_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, str]]:

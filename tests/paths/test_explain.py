@@ -23,7 +23,6 @@ from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
 from jaxurban.paths.steps import between
 from jaxurban.planners.cost import path_states
 from jaxurban.plot import plot_profile, save_profile
-from jaxurban.viewer.markup import profile as profile_html
 from jaxurban.world.kinds import CODES
 from tests.cli_runs import run
 from tests.made_maps import missing_inside
@@ -420,9 +419,6 @@ def test_what_is_beneath_is_drawn_and_named_by_its_group(maps, ends):
     np.testing.assert_array_equal(
         trees.get_data().values, report.profile["roof_m"].where(names == "tree", 0.0)
     )
-    shown = profile_html(report.profile, {}, [])
-    assert f'fill="{GROUP_COLOURS["trees"]}"' in shown
-    assert "</i>trees</span>" in shown
     assert "roof_kind" not in ju.explain(ju.plan(maps, **ends, altitude_m=60.0), maps).profile
 
 

@@ -13,7 +13,6 @@ import shapely
 from jaxurban.draw.metrics import metric_colours
 from jaxurban.io.geoparquet import write_geoparquet
 from jaxurban.viewer.html import write_page
-from jaxurban.viewer.layers import POSITION_ERROR, RANGE_ERROR_M
 from jaxurban.viewer.viewer import Viewer
 from tests.made_maps import made_maps
 from tests.viewer.browser import READY, opened, shown
@@ -26,7 +25,7 @@ from tests.viewer.test_page import (
     settle,
     text_of,
 )
-from tests.viewer.test_viewer import answer, tile_of
+from tests.viewer.test_viewer import answer
 
 MAPS = made_maps(160, 200)
 GRID, FREE = MAPS.grid, np.argwhere(MAPS.is_free(20.0))
@@ -70,17 +69,6 @@ def test_the_base_map_is_in_metres_from_the_corner_and_there_is_none_where_the_s
     assert names["Hill"][:2] == pytest.approx([1500, 400], abs=1)
     assert names["Main Street"][:2] == pytest.approx([1000, 1200], abs=1)
     assert abs(names["Main Street"][4]) < 0.01  # it runs to the east
-
-
-def test_the_position_error_is_hdop_times_the_range_error_that_the_legend_names():
-    maps = made_maps()
-    viewer, free = Viewer(maps), maps.is_free(20.0, "centre")
-    expected = (RANGE_ERROR_M * maps.m("hdop", 20.0)[free]).astype(np.float32)
-    assert np.array_equal(tile_of(viewer, POSITION_ERROR, [0, 0, 0])[free], expected)
-    assert (
-        f"HDOP x {RANGE_ERROR_M:g} m"
-        in answer(viewer, "legend", layer=POSITION_ERROR, at=[0, 0, 0])["html"]
-    )
 
 
 @pytest.fixture

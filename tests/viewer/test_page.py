@@ -26,6 +26,7 @@ pytestmark = pytest.mark.slow
 MAPS = made_maps(160, 200)
 GRID = MAPS.grid
 FREE = np.argwhere(MAPS.is_free(20.0))
+SKY = '[data-is="sky"] img'
 LANDING = np.argwhere(MAPS.m("roof_touched") == 0)  # where missions may take off and land
 
 
@@ -99,6 +100,8 @@ def settle(page) -> None:
     """Wait until nothing is planned or asked any more."""
     page.wait_for_timeout(300)
     until(page, lambda: text_of(page, "tell") != "Planning …")
+    page.wait_for_timeout(100)
+    until(page, lambda: page.locator('[aria-busy="true"]').count() == 0)  # the report
     page.wait_for_timeout(700)
 
 
@@ -206,7 +209,7 @@ def test_start_and_goal_a_weight_and_a_zone_change_the_route_and_the_command_giv
     assert route_of(page)["geometry"]["coordinates"] == np.round(third["lonlat"], 7).tolist()
     assert b"<kml" in saved(page, '[data-format=".kml"]')
     assert json.loads(saved(page, '[data-format=".plan"]'))["fileType"] == "Plan"
-    assert page.locator('[data-is="report"] svg').is_visible()
+    assert page.locator('[data-is="profile"] img').is_visible()
 
 
 def test_a_goal_in_a_building_moves_out_of_it_the_card_says_so_and_dragging_it_takes_the_route_along(
@@ -232,7 +235,7 @@ def test_a_goal_in_a_building_moves_out_of_it_the_card_says_so_and_dragging_it_t
         assert route_of(page)["geometry"]["coordinates"][-1] != end
 
 
-def test_cautions_stand_open_the_mission_is_drawn_before_it_is_saved_and_letters_are_as_large_on_every_screen(
+def test_cautions_stand_open_the_mission_is_drawn_before_it_is_saved(
     page,
 ):
     plan_between(page)
@@ -260,15 +263,6 @@ def test_cautions_stand_open_the_mission_is_drawn_before_it_is_saved_and_letters
     assert apart.sum() > 3
     for place in places[1:-1][apart]:
         assert min(ink_at(page, place)) > 100  # its ring is white within
-    sizes, of_each = (
-        set(),
-        "all => all.map(each => `${each.offsetHeight} ${getComputedStyle(each).fontSize}`)",
-    )
-    for width in (1024, 1920):
-        page.set_viewport_size({"width": width, "height": 900})
-        sizes |= set(page.locator('[data-is="profile"] div > :is(b, span)').evaluate_all(of_each))
-    page.set_viewport_size(SIZE)
-    assert sizes == {"14 11px"}
 
 
 def metres_per_pixel(page) -> float:
@@ -465,18 +459,18 @@ def test_a_click_shows_the_sky_over_the_place_and_another_altitude_shows_that_of
     with shown(browser, Viewer(open_maps(tmp_path / "maps"))) as page:
         corner = page.locator('[data-is="map"]').bounding_box()
         page.mouse.click(corner["x"] + corner["width"] / 2, corner["y"] + corner["height"] / 2)
-        page.wait_for_selector(".jv-sky")
+        page.wait_for_selector(SKY)
         low = page.locator('[data-is="sky"]').inner_html()
         page.select_option('[name="altitude"]', "1")
         until(page, lambda: page.locator('[data-is="sky"]').inner_html() != low)
         assert " seen, " in low
-        box = page.locator(".jv-sky").bounding_box()
+        box = page.locator(SKY).bounding_box()
         assert box["y"] + box["height"] / 2 < SIZE["height"]  # in sight without scrolling
         page.locator('[data-is="map"]').focus()
         page.keyboard.press("Escape")
         until(page, lambda: page.locator('[data-is="sky"]').inner_html() == "")
         page.keyboard.press("Enter")
-        page.wait_for_selector(".jv-sky")
+        page.wait_for_selector(SKY)
 
 
 def test_a_sky_that_is_refused_says_so_where_it_would_stand_and_nothing_while_planning(browser):
@@ -615,8 +609,8 @@ def test_the_old_profile_bears_the_pointer_until_the_new_one_is_there(browser):
 
     with shown(browser, Slow(MAPS)) as page:
         plan_between(page, *FREE[[900, 15000]].tolist())
-        page.wait_for_selector('[data-is="profile"] svg')
-        box = page.locator('[data-is="profile"] svg').bounding_box()
+        page.wait_for_selector('[data-is="profile"] .jv-along')
+        box = page.locator('[data-is="profile"] .jv-along').bounding_box()
         page.locator('[name="weight-gps"]').press("ArrowRight")
         page.wait_for_timeout(200)
         until(page, lambda: text_of(page, "tell") == "")

@@ -1,7 +1,6 @@
 """What a receiver's validation writes: report.md, tables, and pictures of the log beside the maps."""
 
 import hashlib
-import math
 
 import pandas as pd
 
@@ -68,13 +67,8 @@ def score_texts(scores: pd.DataFrame) -> pd.DataFrame:
     texts = scores[without_ends(scores)].replace({"which": ROWS})
     rows = scores.to_dict("records")
     for name in ("share", "auc", "within"):
-        texts[name] = [interval(row, name, _three_digits) for row in rows]
+        texts[name] = [interval(row, name) for row in rows]
     return texts.rename(columns=HEADS)
-
-
-def _three_digits(value: float) -> str:
-    """Return a number with three digits behind the point; nothing for NaN."""
-    return "" if math.isnan(value) else f"{value:.3f}"
 
 
 def _facts(result: ReceiverValidation) -> list[tuple[str, str]]:

@@ -328,11 +328,12 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     if (k === state.at) return;
     const { xy, to_share: ends } = state.report, here = is('profile').querySelector('.jv-here');
     Object.assign(state, { at: k, linked: xy[k] });
-    here.setAttribute('transform', `translate(${xy[k] ? 500 * ((ends[k - 1] ?? 0) + ends[k]) : -9})`);
+    here.hidden = !xy[k];
+    here.style.left = `${50 * ((ends[k - 1] ?? 0) + ends[k])}%`;
     draw();
   };
   is('profile').onpointermove = ({ clientX }) => { // the old profile stays until a new route's own comes
-    const { left, width } = is('profile').querySelector('svg').getBoundingClientRect();
+    const { left, width } = is('profile').querySelector('.jv-along').getBoundingClientRect();
     const share = (clientX - left) / width, ends = state.report?.to_share;
     if (ends) link(clamp(ends.findIndex(end => end >= share), 0, ends.length - 1));
   };
