@@ -1230,8 +1230,8 @@ NAMED_IN_VAIN: dict[str, tuple[Callable[[], Any], str]] = {
             "study of weights": lambda: on.weights_study(
                 sources={"town": without_people()}, weights={"population": 5.0}
             ),
-            "pilot": lambda: demos(
-                study=on.instances().query("altitude_m == 60"), maps=without_people(), pilot=PEOPLE
+            "pilot": lambda: ju.fit.demonstrations(
+                routes=on.instances().query("altitude_m == 60"), maps=without_people(), pilot=PEOPLE
             ),
             "view": lambda: page(maps=without_people(), weights={"population": 5.0}),
         }.items()

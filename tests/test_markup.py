@@ -187,7 +187,11 @@ def test_no_text_of_maps_is_markup_in_a_report(maps, tmp_path):
 def test_what_a_template_is_filled_with_is_text_unless_it_is_markdown():
     unit = SimpleNamespace(altitude_m=20.0, cost_model=SimpleNamespace(kind=HTML))
     text = fill(
-        "studies/templates/use_weights", credits=[HOSTILE], unit=unit, option=HOSTILE, where=HOSTILE
+        "studies/templates/use_weights",
+        credits=[HOSTILE],
+        unit=unit,
+        command=HOSTILE,
+        where=HOSTILE,
     )
     check_markdown_harmless(text)
     assert plain(text) == text

@@ -214,19 +214,20 @@ def cell(value: Any) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def interval(row: Mapping[Any, Any], name: Any) -> str:
+def interval(row: Mapping[Any, Any], name: Any, text_of: Callable[[Any], str] = cell) -> str:
     """Return a value of a table's row as text, with its interval where it has one: ``0.42 (0.29 to 0.54)``.
 
     Args:
       row: values by the names of columns; the ends of the interval are NAME_low and NAME_high, which are missing or NaN
         where there is none.
       name: of the value's column.
+      text_of: returns the text of a number.
     """
-    text = cell(row[name])
+    text = text_of(row[name])
     low = row.get(f"{name}_low", math.nan)
     if not np.isfinite(low):
         return text
-    return f"{text} ({cell(low)} to {cell(row[f'{name}_high'])})"
+    return f"{text} ({text_of(low)} to {text_of(row[f'{name}_high'])})"
 
 
 def joined_with_and(items: Iterable[str]) -> str:

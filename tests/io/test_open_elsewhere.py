@@ -15,11 +15,11 @@ import xarray as xr
 from rasterio.shutil import copy
 
 import jaxurban as ju
+from jaxurban.draw import metrics as figures
 from jaxurban.io.geotiff import BLOCK, ramp_of, raster_profile, write_cog, write_geotiffs
 from jaxurban.io.store import write_zarr
 from jaxurban.maps.build import compute_maps
 from jaxurban.metrics.custom import Layer, check_layers, held_variables
-from jaxurban.plot import metrics as figures
 from tests import tiled_runs
 from tests.cli_runs import TOWN, run
 from tests.tiled_runs import files_of

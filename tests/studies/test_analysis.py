@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
+from jaxurban.paths.queries import IN_METRES
 from jaxurban.statistics.bootstrap import (
     FEWEST_GROUPS,
     Clusters,
@@ -16,6 +17,7 @@ from jaxurban.statistics.bootstrap import (
 )
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.trial import row_columns
+from tests.made_maps import made_maps
 
 CHEAP, DEAR, LINE = "astar-plus", "bitstar-dist", "ptp"
 
@@ -102,7 +104,12 @@ def test_planners_are_ranked_by_cost_where_both_found_a_path_and_by_the_pairs_th
     solved = of_pairs.pairs.set_index(["first", "second"])
     assert solved.loc[(CHEAP, LINE)].size == 5
     assert solved.loc[(CHEAP, LINE), "size"] == pytest.approx(100 * 6 / 11)
-    decided = analysis.conclusion(table.assign(at_edge=0.0))
+    place = dict.fromkeys(IN_METRES, 5.0) | {"altitude_m": 20.0}
+    given = pd.DataFrame([place]), made_maps(10, 10), "city.toml"
+    decided = analysis.conclusion(table.assign(at_edge=0.0), *given)
+    assert decided.facts["next"].startswith(
+        "jaxurban study city.toml -o DIR --set study.instances="
+    )
     assert f"{DEAR} costs 20.0 % (20.0 to 20.0) more than {CHEAP}" in decided.facts["decided"]
     assert (
         f"{CHEAP} and {DEAR} cannot be told apart in pairs solved" in decided.facts["not decided"]

@@ -163,8 +163,3 @@ def test_tiles_waste_less_than_one_cell_a_tile_along_each_side(rows, cols, most)
         num = -(-size // side)
         assert side <= most
         assert num * side - size < num
-
-
-def test_a_tile_without_cells_is_refused():
-    with pytest.raises(InputError, match="at least one cell"):
-        tiling(3, 3, 0, 0, 0, 0, (0, 4))
