@@ -125,7 +125,7 @@ def test_a_flight_with_times_needs_no_speed(maps, tmp_path, capsys):
         (("--track", "t.csv", "--reference", "r.csv"), "--reference a receiver's log there"),
         (("--track", "no.csv", "--altitude", 3), "no.csv"),
         ((*AT, "--sources", "nowhere"), "'nowhere' does not exist"),
-        ((*AT, "--sources", "t.csv"), "'t.csv' is none"),
+        ((*AT, "--sources", "t.csv"), "name the folder of these files"),
     ],
 )
 def test_what_cannot_be_done_ends_with_2_and_a_sentence(
