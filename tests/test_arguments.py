@@ -638,7 +638,6 @@ TABLE: dict[str, dict[str, Any]] = {
     "view": {
         "weights": {"risk": 9.0},
         "preset": "paper",
-        "against": lambda: on.maps(),
         "sources": Case("no/such/folder", {"maps": lambda: few_maps()}),
     },
     "when": ON_A_MAP

@@ -98,7 +98,7 @@ def check_markdown_harmless(text: str) -> None:
 
 
 def test_no_text_of_maps_is_markup_on_the_page(maps):
-    viewer = Viewer(maps, name=HOSTILE, against=maps, against_name=HOSTILE)
+    viewer = Viewer(maps, name=HOSTILE)
     start, goal = ends(maps)
     weights = dict.fromkeys(["distance", *maps.metrics], 1.0)
     plan = {"start": start, "goal": goal, "at": [0, 0, 0], "weights": weights}
@@ -107,8 +107,7 @@ def test_no_text_of_maps_is_markup_on_the_page(maps):
     scene = answers["scene"]["html"]
     assert "&lt;img" in scene["place"]
     layer = max(viewer.layers, key=len)
-    minus = {"layer": layer, "at": [0, 0, 0], "is_other": True}
-    view = {"layer": layer, "at": [0, 0, 0], "minus": minus}
+    view = {"layer": layer, "at": [0, 0, 0]}
     legend = json.loads(viewer.answer("legend", view).body)["html"]
     report = answers["report"]
     of_report = [report[name] for name in ("cautions", "totals", "profile", "saved", "report-text")]

@@ -205,7 +205,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ([(1e300, 0.0)], "places"),
     (("east", "north"), "start_xy_m goal_xy_m"),
     ("now", "time MetricMaps.m.time stop"),
-    ("no/such/place", "folder maps maps_a maps_b path file study where check.sources view.against"),
+    ("no/such/place", "folder maps maps_a maps_b path file study where check.sources"),
     ("/proc/none", "MetricMaps.save.folder study.folder sensitivity.folder"),
     (
         "no-such.file",

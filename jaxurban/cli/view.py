@@ -11,7 +11,6 @@ from jaxurban.terminal.common import (
     FLAG,
     FOLDER,
     MAPS,
-    MAPS_PATH,
     PATH,
     PRESET,
     SHOWN,
@@ -29,12 +28,6 @@ if TYPE_CHECKING:
 @MAPS
 @PRESET
 @SOURCES
-@click.option(
-    "--against",
-    type=MAPS_PATH,
-    metavar="DIR",
-    help="Other maps of the place, whose layers the page can subtract from those of the first.",
-)
 @click.option(
     "--export", type=PATH, metavar="PAGE.html", help="Write one page that shows the maps, and end."
 )
@@ -57,7 +50,6 @@ def view_command(
     maps_of: MapsOf,
     preset: "Preset",
     sources: Path | None,
-    against: Path | None,
     export: Path | None,
     size_mib: float,
     port: int,
@@ -67,23 +59,18 @@ def view_command(
 
     The page is for a browser on this machine; Ctrl-C ends it.
     """
-    from jaxurban.maps.saving import open_maps
     from jaxurban.viewer.html import write_page
     from jaxurban.viewer.server import ViewerServer
     from jaxurban.viewer.viewer import Viewer
 
     def open_viewer() -> Viewer:
         """Return the viewer of the maps, read again each time: the server calls it where their files have changed."""
-        maps = maps_of(folder).open()
-        others = None if against is None else open_maps(against, maps.grid.resolution_m)
         return Viewer(
-            maps,
+            maps_of(folder).open(),
             name=folder.resolve().name,
             folder=str(folder),
             preset=preset,
             sources=sources,
-            against=others,
-            against_name=str(against),
         )
 
     # One page as a file, or a server until Ctrl-C.

@@ -90,11 +90,8 @@ def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
       most_bytes: how many bytes the file may have.
 
     Raises:
-      InputError: the file has another suffix or cannot be written, even the coarsest page is larger, or the viewer has
-        other maps to subtract.
+      InputError: the file has another suffix or cannot be written, or even the coarsest page is larger.
     """
-    if viewer.against is not None:
-        raise InputError("a page in one file holds no differences: leave --against out")
     file = Path(file)
     if file.suffix.lower() != SUFFIX or file.is_dir() or not file.parent.is_dir():
         raise InputError(

@@ -19,7 +19,7 @@ from jaxurban.draw.metrics import (
     values_of,
 )
 from jaxurban.draw.paths import COST_COLOURS
-from jaxurban.draw.style import Colours, bar_ticks, difference_colours, tick_label
+from jaxurban.draw.style import Colours, bar_ticks, tick_label
 from jaxurban.flights.return_altitude import LONG_NAME, NAME
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
@@ -194,23 +194,8 @@ def _group(maps: MetricMaps, variable: Variable) -> str:
     return "Further maps" if ALTITUDE in variable.dims and variable.name != "obstacle" else "Ground"
 
 
-def difference(values: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return values less others, both ``[Y, X]`` float32 as they travel.
-
-    It is `OBSTACLE` where either of them is, and `NOTHING` where it is not finite. Where both are infinite, as
-    dilutions of precision without a fix, the difference is 0.
-    """
-    with np.errstate(invalid="ignore"):
-        change = np.where(values == others, np.float32(0), values - others)
-    change[~np.isfinite(change)] = NOTHING
-    change[(values == OBSTACLE) | (others == OBSTACLE)] = OBSTACLE
-    return change
-
-
-def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "") -> dict[str, Any]:
+def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
     """Return how values ``[Y, X]`` of a layer become colours on the page, as JSON holds it.
-
-    With a ``difference_label`` the values are differences, drawn on a scale as far on either side of 0.
 
     Returns:
       ``edges``, ``[N + 1]`` values, and ``colours``, ``[N, 4]`` bytes (red, green, blue and 255) in base64: colour k is
@@ -219,13 +204,8 @@ def legend_of(layer: DrawnLayer, values: np.ndarray, difference_label: str = "")
       without a value, and of the value 0, None where 0 has no colour of its own. ``html`` is the legend.
     """
     maps = layer.maps
-    zero = ""  # what the value 0 is called where it has a colour of its own
-    if difference_label:
-        is_changed = np.isfinite(values) & (values != 0)
-        scale = difference_colours(np.abs(values[is_changed]), difference_label)
-    else:
-        scale = layer.colours(values)
-        zero = layer.variable.scale.zero
+    scale = layer.colours(values)
+    zero = layer.variable.scale.zero  # what the value 0 is called where it has a colour of its own
 
     # Flat colours: of pixels, and of the patches of the legend.
     zero_pixel = _packed(EMPTY_COLOUR) if zero else None

@@ -49,7 +49,7 @@ class Plan(Request):
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 
 
-class OneView(Request):
+class View(Request):
     """A map: its layer, and the numbers of its altitude, time and time of day in the lists of the scene.
 
     ``home`` is that of the layer of returns, which has no values without it. ``plan`` is a route whose rules close the
@@ -62,18 +62,6 @@ class OneView(Request):
     plan: Plan | None = None
 
 
-class Subtrahend(OneView):
-    """A map that is subtracted from another one: of the maps that are looked at, or of those beside them."""
-
-    is_other: bool = False
-
-
-class View(OneView):
-    """A map, or by how much it is above another one."""
-
-    minus: Subtrahend | None = None
-
-
 class Tile(View):
     """A tile of a map (`jaxurban.viewer.tiles`)."""
 
@@ -83,12 +71,12 @@ class Tile(View):
 
 
 class Cell(Request):
-    """A cell, at an altitude, time and time of day, and the map whose value in it comes first, if one is named."""
+    """A cell, at an altitude, time and time of day, and the home of the layer of returns, if one is chosen."""
 
     at: MapIndex
     row: Index
     col: Index
-    view: View | None = None
+    home: Place | None = None
 
 
 class SkyRequest(Request):

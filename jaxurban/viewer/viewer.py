@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, partial
 from html import escape
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
@@ -25,7 +24,7 @@ from jaxurban.flights.return_altitude import NAME, return_altitude
 from jaxurban.io.store import OPENED
 from jaxurban.io.tables import number_or_none
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.shared import OneMap, paired_times, shared_part
+from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.variables import GROUP_COLOURS
@@ -46,7 +45,6 @@ from jaxurban.viewer.layers import (
     H_NORM,
     NOTHING,
     DrawnLayer,
-    difference,
     layers_of,
     legend_of,
 )
@@ -55,12 +53,10 @@ from jaxurban.viewer.outlines import STEP_M, packed_outlines
 from jaxurban.viewer.plans import Plans
 from jaxurban.viewer.requests import (
     Cell,
-    OneView,
     Plan,
     Request,
     Save,
     SkyRequest,
-    Subtrahend,
     Tile,
     View,
     parse,
@@ -107,20 +103,15 @@ class Viewer:
       maps: the maps that are looked at and planned on.
       name: what the page calls the maps.
       folder, weights, preset: as for `Plans`.
-      against: other maps of the same place, whose layers can be subtracted on the cells that both hold; None if there
-        are no other maps.
-      against_name: what the page calls the other maps.
       sources: the folder at which the relative paths of the maps' sources begin, from which outlines and skies are
         read; left out, the folder beside the maps.
 
     Raises:
-      InputError: as for `Plans`, or as for `shared_part` with the other maps.
+      InputError: as for `Plans`.
 
     Attributes:
       key: a text that no other viewer has; a page with another viewer's key gets no answers.
       kept: the arrays that were drawn or looked at last.
-      shared, other_layers: these and the other maps, cut to what both hold, and the layers of the other maps; only with
-        other maps.
     """
 
     def __init__(
@@ -131,23 +122,12 @@ class Viewer:
         folder: str = "",
         weights: WeightsLike = None,
         preset: Preset = "",
-        against: MetricMaps | None = None,
-        against_name: str = "the other maps",
         sources: str | Path | None = None,
     ) -> None:
         # The maps, under the preset's rule of obstacles.
         self.plans = Plans(maps, folder, weights, preset)
         self.maps, self.name = self.plans.maps, name
         self.layers = layers_of(self.maps)
-
-        # The other maps, under the same rule, cut to what both hold.
-        self.names: tuple[str, ...] = (name,)
-        self.against = against
-        if against is not None:
-            self.names = name, against_name
-            others = against.with_obstacles(self.maps.obstacles)
-            self.shared = shared_part(self.maps, others)
-            self.other_layers = layers_of(self.shared[1])
 
         self.sources = sources
         self.kept = Kept()
@@ -197,9 +177,8 @@ class Viewer:
             raise RemadeError(
                 "the maps of this page were made again or removed since they were opened: load it again"
             )
-        for maps in filter(None, (self.maps, self.against)):
-            if OPENED in maps.ds.encoding:
-                maps.ds.encoding[OPENED].check()
+        if OPENED in self.maps.ds.encoding:
+            self.maps.ds.encoding[OPENED].check()
 
     def scene(self, _: Request) -> dict[str, Any]:
         """Return what the page must know before it asks for anything else.
@@ -274,20 +253,14 @@ class Viewer:
         guessed = guesses_said(maps, has_sky=True)
         groups = np.unique(group_numbers(maps)).tolist()
 
-        # Lists to choose from; those of the map that is subtracted are the same. `H_NORM` is a layer of all maps.
+        # Lists to choose from. `H_NORM` is a layer of all maps.
         first = "gps" if "gps" in self.layers else H_NORM
-        first_subtracted = first if self._begins_with_difference else ""
         headings = [
             (name, layer.variable.heading, layer.group) for name, layer in self.layers.items()
         ]
         summaries = {name: PLANNERS[name].summary for name in BY_METHOD}
-        lists = {
-            "altitude": options([f"{z_m:g} m" for z_m in maps.altitudes_m]),
-            "time_of_day": options(maps.times_of_day),
-            "time": options([*map(time_said, self.axes[TIME])]),
-        }
         return {
-            "title": escape(" against ".join(self.names)),
+            "title": escape(self.name),
             "guesses": escape(guessed and f"Guessed: {guessed}"),
             "guesses-text": escape("\n".join(guess.sentence for guess in maps.guesses)),
             "place": "<br>".join([place_said(grid), cells, north]),
@@ -297,22 +270,12 @@ class Viewer:
             "planners": markup.planners(summaries, PLANNER_LINES, DEFAULTS.planner),
             "formats": markup.save_buttons(of_waypoints=False),
             "formats-of-waypoints": markup.save_buttons(of_waypoints=True),
-            **lists,
-            **{f"minus-{name}": text for name, text in lists.items()},
+            "altitude": options([f"{z_m:g} m" for z_m in maps.altitudes_m]),
+            "time_of_day": options(maps.times_of_day),
+            "time": options([*map(time_said, self.axes[TIME])]),
             "layer": markup.layer_options(headings, first),
-            "minus-layer": '<option value="">nothing</option>'
-            + markup.layer_options(headings, first_subtracted),
-            "minus-is_other": options(self.names, -1) if len(self.names) > 1 else "",
             "north": f'<path d="M0-12 5 8 0 4-5 8Z" transform="rotate({-north_deg:.2f})"/>',
         }
-
-    @property
-    def _begins_with_difference(self) -> bool:
-        """Whether the page first shows a difference: there are other maps, of the same altitudes and times."""
-        if self.against is None:
-            return False
-        values = attrgetter("altitudes_m", "times", "times_of_day")
-        return values(self.maps) == values(self.against)
 
     @cached_property
     def axes(self) -> dict[str, tuple]:
@@ -368,27 +331,13 @@ class Viewer:
         return at._replace(altitude_m=query.flight_m)
 
     def values(self, view: View) -> np.ndarray:
-        """Return the values ``[Y, X]`` of a map, or its `difference` from another map, as the page gets them.
+        """Return the values ``[Y, X]`` of a map, as the page gets them.
 
         Raises:
-          InputError: an unknown layer, a number beyond its list, layers of different units, or no other maps.
+          InputError: an unknown layer, or a number beyond its list.
         """
-        values = self._values(view)
-        minus = view.minus
-        if minus is None:
-            return values
-        subtracted, _ = self._layer(minus)
-        if _shown_unit(subtracted) != _shown_unit(self.layers[view.layer]):
-            raise InputError(
-                f"{view.layer} and {minus.layer} have different units, so they have no difference: choose "
-                "two layers of one unit"
-            )
-        others = self._others(minus) if minus.is_other else self._values(minus)
-        return self.kept.get(view.model_dump_json(), lambda: difference(values, others))
-
-    def _values(self, view: OneView) -> np.ndarray:
-        """Return the values ``[Y, X]`` of a map of these maps, without a difference."""
-        layer, at = self._layer(view)
+        layer = self.layers[one_of("layer", view.layer, self.layers)]
+        at = self.place(view.at, layer.dims)
         plan = view.plan
         if plan and view.layer == CLOSED.name:
             key = CLOSED.name, plan.model_dump_json()
@@ -405,40 +354,6 @@ class Viewer:
         """Return why the start of a query is closed to routes, or that it is free (`Plans.why`)."""
         return self.plans.why(query, self.flight(query))
 
-    def _layer(self, view: OneView) -> tuple[DrawnLayer, OneMap]:
-        """Return a layer of these maps, and the altitude, time and time of day at which it is looked at.
-
-        Raises:
-          InputError: an unknown layer, or a number beyond its list.
-        """
-        layer = self.layers[one_of("layer", view.layer, self.layers)]
-        return layer, self.place(view.at, layer.dims)
-
-    def _others(self, view: Subtrahend) -> np.ndarray:
-        """Return values of the other maps on these maps' cells ``[Y, X]``, `NOTHING` on cells that they do not hold.
-
-        Raises:
-          InputError: there are no other maps, an unknown layer, or a number beyond its list.
-        """
-        if self.against is None:
-            raise InputError(
-                "there are no other maps to subtract: name them with against= (--against)"
-            )
-        layer = self.other_layers[one_of("layer", view.layer, self.other_layers)]
-
-        # The same altitude and time of day, and the time of the other maps that stands for this one.
-        _, at = self._layer(view)
-        if at.time is not None:
-            at = at._replace(time=paired_times(*self.shared).get(at.time, at.time))
-
-        def make() -> np.ndarray:
-            """Return the other maps' values on the shared cells of these maps, and `NOTHING` on the other cells."""
-            values = np.full(self.maps.grid.shape, NOTHING)
-            values[self.shared[0].grid.window_in(self.maps.grid)] = layer.values(at)
-            return values
-
-        return self.kept.get((self.names[1:], view.layer, at), make)
-
     def legend(self, view: View) -> dict[str, Any]:
         """Return how the values of a view become colours (`legend_of`).
 
@@ -446,36 +361,7 @@ class Viewer:
           InputError: as for `values`.
         """
         values = self.values(view)  # refuses an unknown layer
-        label = self._difference_label(view, view.minus) if view.minus else ""
-        return legend_of(self.layers[view.layer], values, label)
-
-    def _difference_label(self, view: View, minus: Subtrahend) -> str:
-        """Return the label of a difference, which names both maps and the unit of their values."""
-        unit = _shown_unit(self.layers[view.layer])
-        # The other maps are number 1.
-        subtracted = self._said(minus, self.names[minus.is_other])
-        label = f"{self._said(view, self.names[0])} minus {subtracted}"
-        if unit:
-            label = f"{label}, {unit}"
-        return f"{label} (red: the first is higher)"
-
-    def _said(self, view: OneView, name: str) -> str:
-        """Return in words what a view shows: layer, altitude, time and time of day.
-
-        If the maps hold one time alone, it is left out. ``name`` is what the maps of the view are called; it is left
-        out if there are no other maps.
-        """
-        layer, at = self._layer(view)
-        words = [layer.variable.heading]
-        if at.altitude_m is not None:
-            words.append(f"{at.altitude_m:g} m")
-        if at.time is not None and len(self.axes[TIME]) > 1:
-            words.append(time_said(at.time))
-        if at.time_of_day is not None:
-            words.append(at.time_of_day)
-        if len(self.names) > 1:
-            words.append(f"in {name}")
-        return " ".join(words)
+        return legend_of(self.layers[view.layer], values)
 
     def tile(self, tile: Tile) -> bytes:
         """Return a tile of the values of a view (`packed_tile`).
@@ -488,8 +374,8 @@ class Viewer:
     def values_at(self, cell: Cell) -> list[dict[str, Any]]:
         """Return what the list under the pointer shows of a cell, in its order.
 
-        A row has the name of a layer, its value (None where it has none) and its `_words`. If the view shows a
-        difference, the difference comes first. Below the density of people comes the number of people in the cell.
+        A row has the name of a layer, its value (None where it has none) and its `_words`. Below the density of people
+        comes the number of people in the cell.
 
         Raises:
           InputError: a cell outside the maps, a number beyond its list, or as for `values`.
@@ -501,14 +387,8 @@ class Viewer:
             )
         is_inside = self._value_in(self.layers["obstacle"], cell) != 0
 
-        rows: list[dict[str, Any]] = []
-        if cell.view is not None and cell.view.minus is not None:
-            layer, _ = self._layer(cell.view)
-            value = self.values(cell.view)[cell.row, cell.col]
-            words = {"told": "Difference", "classes": [], "unit": _shown_unit(layer)}
-            rows.append({"name": "difference", "value": number_or_none(value), **words})
-
         # The layers; those that are hidden inside obstacles have no value there.
+        rows: list[dict[str, Any]] = []
         for name, layer in self.layers.items():
             words = _words(layer)
             if not words["told"]:
@@ -533,8 +413,7 @@ class Viewer:
         """
         variable = self.maps.variable(layer.name)
         if variable not in self.maps.ds:
-            home = cell.view.home if cell.view else None
-            view = View(layer=layer.name, at=cell.at, home=home)
+            view = View(layer=layer.name, at=cell.at, home=cell.home)
             value = self.values(view)[cell.row, cell.col]
             return float(value) if np.isfinite(value) else math.nan
         at = self.place(cell.at, layer.dims)
@@ -700,11 +579,6 @@ def status_said(planned: PlannedPath) -> str:
     return f"{text}, {proof}"
 
 
-def _shown_unit(layer: DrawnLayer) -> str:
-    """Return the unit of a layer's values as people read it; "" for values without a unit."""
-    return {"1": "", "km-2": "per km²"}.get(layer.variable.unit, layer.variable.unit)
-
-
 def _words(layer: DrawnLayer) -> dict[str, Any]:
     """Return the words for a layer in the list of the values of a cell.
 
@@ -716,7 +590,8 @@ def _words(layer: DrawnLayer) -> dict[str, Any]:
     if layer.group == "Costs" and layer.name != H_NORM:
         label = ""
     classes = [name for name, _ in variable.classes]
-    return {"told": label, "classes": classes, "unit": _shown_unit(layer)}
+    unit = {"1": "", "km-2": "per km²"}.get(variable.unit, variable.unit)
+    return {"told": label, "classes": classes, "unit": unit}
 
 
 def as_json(value: Any) -> bytes:

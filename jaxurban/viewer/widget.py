@@ -22,7 +22,6 @@ def view(
     *,
     weights: WeightsLike = None,
     preset: Preset = "",
-    against: MapsLike | None = None,
     sources: str | Path | None = None,
 ) -> Any:
     """Return a widget to look at maps and plan on them. A notebook shows it where it is the last line of a cell.
@@ -32,7 +31,6 @@ def view(
         ``[vehicle]`` say, if there is one.
       weights: where the sliders start; left out, those of the scenario, else `Weights()`.
       preset: ``"paper"``: where the page starts, as in `jaxurban.cost_map`.
-      against: other maps of the place at the same resolution, or their folder, whose layers can be subtracted.
       sources: folder where the relative paths of the maps' sources begin, from which outlines and skies are read; left
         out, beside the maps.
 
@@ -49,14 +47,12 @@ def view(
     """
     opened = as_maps(maps)
     folder = "" if opened is maps else str(maps)
-    others = None if against is None else as_maps(against)
     viewer = Viewer(
         opened,
         name=getattr(opened.folder, "name", "the maps"),
         folder=folder,
         weights=weights,
         preset=preset,
-        against=others,
         sources=sources,
     )
     return widget_of(viewer)

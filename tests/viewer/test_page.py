@@ -371,21 +371,6 @@ def test_outlines_of_buildings_below_the_flight_are_pale_and_guessed_ones_dashed
         assert 160 < np.median(inks(page, 40, 40)) < 245
 
 
-def test_a_difference_is_drawn_and_stands_under_the_pointer(page):
-    page.click('[data-tab="look"]')
-    show_all(page)
-    page.select_option('[name="minus-layer"]', "gps")
-    page.select_option('[name="minus-altitude"]', "1")
-    until(page, lambda: "20 m minus GPS quality 60 m" in page.locator(".jv-legend").inner_text())
-    is_free = MAPS.is_free(20.0, "centre") & MAPS.is_free(60.0, "centre")
-    cell = np.argwhere(is_free)[5000].tolist()
-    change = MAPS.m("gps", 20.0)[tuple(cell)] - MAPS.m("gps", 60.0)[tuple(cell)]
-    assert point_at(page, cell)["difference"] == pytest.approx(float(change))
-    page.select_option('[name="minus-layer"]', "")
-    until(page, lambda: "minus" not in page.locator(".jv-legend").inner_text())
-    assert not page.locator('[name="minus-altitude"]').is_visible()
-
-
 def test_a_report_that_is_refused_leaves_none_of_another_route(browser):
     with shown(browser, Viewer(MAPS), is_well=False) as page:
         plan_between(page)

@@ -162,55 +162,6 @@ def test_colours_are_those_of_the_figures(viewer):
     assert (colours[index] == of_figures).all(axis=1).mean() > 0.99
 
 
-def difference_of(viewer: Viewer, **minus) -> np.ndarray:
-    view = {"layer": "gps", "at": [0, 0, 0], "minus": {"layer": "gps", "at": [0, 0, 0]} | minus}
-    tile = answer(viewer, "tile", **view, stride=1, row=0, col=0)
-    return unpacked(tile).reshape(MAPS.grid.shape)
-
-
-def test_a_difference_is_one_map_minus_another_on_a_scale_with_0_in_the_middle(viewer):
-    low, high = (MAPS.m("gps", z_m) for z_m in (20.0, 60.0))
-    is_free = MAPS.is_free(20.0, "centre") & MAPS.is_free(60.0, "centre")
-    got = difference_of(viewer, at=[1, 0, 0])
-    assert np.array_equal(got[is_free], (low - high)[is_free])
-    assert (got[~is_free] == -np.inf).all()
-    view = {"layer": "gps", "at": [0, 0, 0], "minus": {"layer": "gps", "at": [1, 0, 0]}}
-    legend = answer(viewer, "legend", **view)
-    assert legend["edges"][0] == -legend["edges"][-1] < 0
-    assert legend["ticks"][1] == 0
-    assert "GPS quality 20 m minus GPS quality 60 m (red: the first is higher)" in legend["html"]
-    roofs = {"layer": "roof", "at": [0, 0, 0], "minus": {"layer": "roof", "at": [0, 0, 0]}}
-    assert "minus Roof height, m (red" in answer(viewer, "legend", **roofs)["html"]
-    cell = np.argwhere(is_free)[300].tolist()
-    rows = answer(viewer, "values", at=[0, 0, 0], row=cell[0], col=cell[1], view=view)
-    assert (rows[0]["name"], rows[0]["value"]) == ("difference", float(got[tuple(cell)]))
-    for minus, words in (({"layer": "roof"}, "different units"), ({"is_other": True}, "--against")):
-        with pytest.raises(InputError, match=words):
-            difference_of(viewer, **minus)
-
-
-def test_other_maps_are_subtracted_on_the_cells_and_at_the_times_that_both_hold(tmp_path):
-    later = MAPS.ds["time"] + np.timedelta64(1, "h")
-    others = type(MAPS)(
-        MAPS.ds.assign(gps=0.25 * MAPS.ds["gps"]).assign_coords(time=later).isel(x=slice(20, 70))
-    )
-    viewer = Viewer(MAPS, name="a", against=others, against_name="b")
-    assert ">b</option>" in answer(viewer, "scene")["html"]["minus-is_other"]
-    got, gps = difference_of(viewer, is_other=True), MAPS.m("gps", 20.0)
-    is_free = MAPS.is_free(20.0, "centre")
-    is_shared = np.zeros_like(is_free)
-    is_shared[:, 20:70] = True
-    assert np.allclose(got[is_free & is_shared], 0.75 * gps[is_free & is_shared])
-    assert np.isnan(got[is_free & ~is_shared]).all()
-    elsewhere = made_maps(resolution_m=20.0)
-    with pytest.raises(InputError, match="cells are"):
-        Viewer(MAPS, against=elsewhere)
-    with pytest.raises(InputError, match="cells are"):
-        view(MAPS, against=elsewhere)
-    with pytest.raises(InputError, match="holds no differences"):
-        write_page(viewer, tmp_path / "page.html", 10**7)
-
-
 def rings_of(viewer: Viewer) -> list[tuple[np.ndarray, float, bool, str]]:
     """Return the outlines that the page gets: corners in metres, height, whether it is guessed, and group."""
     values = unpacked(answer(viewer, "outlines"))

@@ -35,17 +35,14 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const u = 2 * x / wide - 1, v = 2 * y / high - 1, { powers, lon, lat } = scene.lonlat;
     return [lon, lat].map(terms => +powers.reduce((sum, [i, j], k) => sum + terms[k] * u ** i * v ** j, 0).toFixed(7));
   };
-  const places = (which = '') => DIMS.map(name => +field(which + name).value);
+  const places = () => DIMS.map(name => +field(name).value);
   const flight = () => parseFloat(field('flight_m').value || field('altitude').selectedOptions[0]?.text); // metres
   const isOfHome = () => field('layer').value === 'return_altitude';
   const show = guard(async () => {
-    const layer = layers[field('layer').value], less = layers[field('minus-layer').value];
+    const layer = layers[field('layer').value];
     const request = { layer: layer.name, at: ofLayer(layer, places()) };
     if (isOfHome() && state.home) request.home = toLonLat(state.home);
     if (layer.name === 'closed') Object.assign(request, ruled());
-    if (less) request.minus = { layer: less.name, at: ofLayer(less, places('minus-')),
-      is_other: field('minus-is_other').value === '1' };
-    is('minus-box').hidden = !less;
     state.asked = JSON.stringify(request);
     const legend = await ask('legend', request).catch(error => {
       state.fault = error.message;
@@ -144,8 +141,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   // --- the pointer
   const look = latest(async ([x, y]) => {
     const cell = [y, x].map(metres => Math.floor(metres / side)), table = is('values');
-    const view = state.shown?.request, drawn = (view?.minus || view?.home) && { view };
-    const values = await ask('values', { at: places(), row: cell[0], col: cell[1], ...drawn });
+    const { home } = state.shown?.request ?? {};
+    const values = await ask('values', { at: places(), row: cell[0], col: cell[1], ...home && { home } });
     table.replaceChildren();
     for (const { name, told, value, classes, unit } of values) {
       const row = table.insertRow(), text = classes[value] ?? `${number(value)} ${unit}`;
@@ -448,7 +445,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   };
   for (const each of all('[name="opacity"], [name="hatch"], [name="closed"], [name^="group-"]'))
     Object.assign(each, { oninput: draw, onchange: keep });
-  root.querySelector('nav').hidden = is('sky-box').hidden = is('minus').hidden = !scene.can_plan;
+  root.querySelector('nav').hidden = is('sky-box').hidden = !scene.can_plan;
   const choose = tab => {
     state.tab = tab;
     for (const each of all('[data-tab]')) each.ariaSelected = each.dataset.tab === tab;
