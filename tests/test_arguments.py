@@ -621,7 +621,6 @@ TABLE: dict[str, dict[str, Any]] = {
     | SEARCH
     | {
         "altitude_m": 60.0,
-        "strict": Case(True, {"queries": [((-73.9, 40.7), GOAL)]}, refused="outside"),
         "file": Same("it keeps the rows of an interrupted call: the result is the same"),
         "num_threads": Same("any number of threads finds the same paths"),
         "progress": PROGRESS,

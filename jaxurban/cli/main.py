@@ -4,7 +4,6 @@ import atexit
 import gc
 import logging
 import os
-import re
 import signal
 import sys
 import warnings
@@ -220,12 +219,12 @@ def _fail(arguments: Sequence[str], sentence: str, option: str = "") -> ExitCode
     Args:
       arguments: the words of the command line.
       sentence: what is wrong, and the remedy.
-      option: the option at fault; empty: it is looked for in the sentence.
+      option: the option at fault; empty where it is not known.
     """
     LOG.info(f"error: {sentence}")
     if JSON in arguments:
         try:
-            print_json({}, ExitCode.BAD_INPUT, sentence, option or _named_in(sentence, arguments))
+            print_json({}, ExitCode.BAD_INPUT, sentence, option)
         except (OSError, ValueError):  # stdout may be what failed
             _drop_stdout()
     return ExitCode.BAD_INPUT
@@ -237,34 +236,6 @@ def _option_of(error: click.UsageError) -> str:
         return error.option_name
     param = getattr(error, "param", None)
     return "" if param is None else _name_of(param)
-
-
-def _named_in(sentence: str, arguments: Sequence[str]) -> str:
-    """Return the option, argument or setting at fault where a sentence names it plainly, else an empty text.
-
-    That is a parameter whose name in Python begins the sentence, a setting of a scenario, or the first option in the
-    sentence that the user gave.
-    """
-    # A parameter that the user gave, by the first word of the sentence.
-    first_word = sentence.split(maxsplit=1)[0].rstrip(":")
-    passed = {argument.partition("=")[0] for argument in arguments}
-    for param in _command_in(arguments).params:
-        is_passed = isinstance(param, click.Argument) or not passed.isdisjoint(param.opts)
-        names = (param.name, *getattr(param.type, "names", ()))  # of an option, and of its values
-        if first_word in names and is_passed:
-            return _name_of(param)
-
-    # A setting, as in "file: gps: mask_deg must be ...", or else an option that the user gave.
-    setting = re.search(r": (\w+): (\w+) must ", sentence)
-    if setting:
-        return f"{setting[1]}.{setting[2]}"
-    options = re.findall(r"--[a-z-]+", sentence)
-    return next((option for option in options if option in passed), "")
-
-
-def _command_in(arguments: Sequence[str]) -> click.Command:
-    """Return the command that is run; without one, the group of all."""
-    return next((app.commands[each] for each in arguments if each in app.commands), app)
 
 
 def _name_of(param: click.Parameter) -> str:

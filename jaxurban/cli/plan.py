@@ -1,6 +1,7 @@
 """jaxurban plan."""
 
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.when import Departures
     from jaxurban.settings import Objective, OnGround
 
-LEAST_NAME_WIDTH = 20  # characters of the table's first column
+NAME_WIDTH = 16  # characters of the table's first column
 NOT_WHEN = (
     "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --corridor, --simplify, "
     "--mission or --on-ground"
@@ -408,7 +409,7 @@ def _write_route(
             facts[name] = getattr(planned, name).tolist()
         print_json(facts, planned.status.exit_code)
     elif not as_json:
-        print(_path_table(facts))
+        print(_path_table(planned))
         if shown is not None:
             print(f"\n{shown.table()}")
     if refused:
@@ -449,7 +450,6 @@ def _write_departures(
             "best": departures.best,
             "facts": facts,
             "cautions": departures.cautions,
-            **_numbers_of(departures),
             "table": records_of(departures.table),
         }
         print_json(all_facts, code, message)
@@ -460,30 +460,6 @@ def _write_departures(
         for name, fact in facts.items():
             print(f"{name}: {fact}")
     return code
-
-
-def _numbers_of(departures: "Departures") -> Settings:
-    """Return as numbers what ``departures.facts`` says in words: counts, and where any time has a path also costs.
-
-    Shares are of the best cost: ``worst_above_best_share`` of the dearest time, and ``most_kept_above_share`` of the
-    best time's route at the time at which it is worst.
-    """
-    routes = departures.routes
-    at_each_time = departures.table
-    has_changed = routes.groupby("query")["num_changed"].any()
-    numbers = {
-        "num_times": len(at_each_time),
-        "num_routes": len(has_changed),
-        "num_routes_changed": int(has_changed.sum()),
-        "num_without_path": int(routes["cost"].isna().sum()),
-    }
-    if departures.best is None:
-        return numbers
-    return numbers | {
-        "best_cost": float(at_each_time["cost"].min()),
-        "worst_above_best_share": float(at_each_time["above_best"].max()),
-        "most_kept_above_share": float(at_each_time["kept_above"].max()),
-    }
 
 
 def _write(
@@ -542,41 +518,21 @@ def _write(
     LOG.info(f"wrote {file}: {' '.join(notes)}" if notes else f"wrote {file}")
 
 
-def _path_table(facts: Settings) -> str:
-    """Return what is known of a path as lines of a name and a value, and last its message.
+def _path_table(planned: "PlannedPath") -> str:
+    """Return the facts of a path, a line each, its costs, exposures and means by layer, and last its message."""
+    import pandas as pd
 
-    Args:
-      facts: of the path, as `PlannedPath.to_dict` has them; without a cost there is no path.
-    """
-    rows = {
-        "planner": f"{facts['planner']} ({facts['heuristic']}, {facts['backend']})",
-        "status": facts["status"],
-    }
-    if facts["cost"] is not None:
-        rows["cost"] = f"{facts['cost']:.3f}"
-        if facts["gap"]:
-            rows["above the best"] = f"at most {100 * facts['gap']:.2f} %"
-            if facts["graph"]:
-                rows["above the best"] += f" (best of: {facts['graph']})"
-        rows["length"] = f"{facts['length_m']:.1f} m"
-
-        # How far the start and the goal were moved to free cells, and a row for each layer and metric.
-        moves = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
-        rows["moved to cells"] = ", ".join(moves)
-        by_label = {
-            "cost of ": facts["cost_by_layer"],
-            "exposure to ": facts["exposure_by_layer"],
-            "mean m_": facts["metrics"],
+    rows = planned.facts
+    if 0 < planned.search.gap < inf:
+        rows["above the best"] = f"at most {planned.search.gap:.2%}"
+    lines = [f"{name:<{NAME_WIDTH}}{fact}" for name, fact in rows.items() if name != "message"]
+    by_layer = pd.DataFrame(
+        {
+            "cost": planned.cost_by_layer,
+            "exposure": planned.exposure_by_layer,
+            "mean m": planned.metrics,
         }
-        for label, values in by_label.items():
-            rows |= {f"{label}{name}": f"{value:.3f}" for name, value in values.items()}
-    rows["expansions"] = f"{facts['num_expanded']}"
-    rows["search time"] = f"{facts['elapsed_s']:.3f} s"
-    if facts["setup_s"] >= 1:
-        rows["search time"] += f", after {facts['setup_s']:.1f} s of compiling"
-
-    # Values begin in one column, a space behind the longest name.
-    width = max(LEAST_NAME_WIDTH, *(len(name) + 1 for name in rows))
-    return "\n".join(
-        [*(f"{name:<{width}}{value}" for name, value in rows.items()), facts["message"]]
     )
+    if planned.status.has_path:
+        lines.append(by_layer.to_string(float_format="{:.3f}".format, na_rep=""))
+    return "\n".join([*lines, planned.message])

@@ -47,7 +47,6 @@ def plan_many(
     queries: QueriesLike,
     *,
     altitude_m: float | None = None,
-    strict: bool = False,
     file: str | FilePath | None = None,
     num_threads: int | None = None,
     progress: Progress = True,
@@ -76,7 +75,6 @@ def plan_many(
         a table (see `read_queries`), whose rows may have altitude, time, time of day and weights of their own.
       altitude_m: flight altitude above ground of queries without an altitude of their own.
       backend: ``"numba"``, ``"jax"`` or ``"auto"`` (see `solve_many`).
-      strict: raise the first error or crash instead.
       file: where to keep the results, named ``.parquet``.
       num_threads: how many threads the ``"numba"`` backend uses.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
@@ -89,8 +87,7 @@ def plan_many(
       `PlannedPaths`: a `PlannedPath` for each query, and None where its planner did not run to its end.
 
     Raises:
-      InputError: an argument that is wrong for all queries, a file that holds results of other queries; with
-        ``strict`` any query's error too.
+      InputError: an argument that is wrong for all queries, or a file that holds results of other queries.
 
     Examples:
       >>> paths = ju.plan_many(maps, [(start, goal), (goal, start)], altitude_m=60.0, progress=False)
@@ -131,7 +128,7 @@ def plan_many(
 
     # The results, with those of an earlier run that the file holds.
     store = None if file is None else RowStore(FilePath(file), ["query"])
-    results = _Results(batch, store, strict)
+    results = _Results(batch, store)
     was_interrupted = False
     try:
         with reporting("plan_many", progress) as report:
@@ -168,25 +165,23 @@ class _Results:
 
     Attributes:
       queries: the queries of the batch.
-      strict: whether the first query that cannot be planned, or the first crash of a planner, is raised.
       rows: a row for each query, as of `row_of`.
       paths: the path of each query; None where its planner did not run to its end.
       counts: how many queries are done, with a path and without one.
       report: gets these counts whenever a query is done.
     """
 
-    def __init__(self, queries: Sequence[Query], store: RowStore | None, strict: bool) -> None:
+    def __init__(self, queries: Sequence[Query], store: RowStore | None) -> None:
         """Begin with no query done: each has the row of a query that was not run, and no path.
 
         Args:
           queries: the queries of the batch.
           store: the file with results of an earlier run, which are taken one by one (`take`); None to keep no file.
-          strict: as of the class.
 
         Raises:
           InputError: a row of the file lacks a column, or has a number that is none of these queries'.
         """
-        self.queries, self._store, self.strict = queries, store, strict
+        self.queries, self._store = queries, store
         self.report = Report()
         message = "The batch ended before this query was done."
         self.rows = [row_of(k, query, NOT_RUN, message) for k, query in enumerate(queries)]
@@ -217,14 +212,12 @@ class _Results:
         self.report("queries", sum(self.counts.values()), len(self.queries), **self.counts)
 
     def refuse(self, k: int, error: InputError | str) -> None:
-        """Note that a query cannot be planned; under ``strict`` raise InputError instead.
+        """Note that a query cannot be planned.
 
         Args:
           k: number of the query.
           error: why.
         """
-        if self.strict:
-            raise InputError(f"query {k}: {error}")
         self.add(k, BAD_INPUT, str(error))
 
     def take(self, located: _Located, search: PathSearch) -> bool:
@@ -283,7 +276,7 @@ def _plan_batch(
       num_threads: as of `plan_many`.
 
     Raises:
-      InputError: the file holds results of other queries; under ``strict``, a query cannot be planned.
+      InputError: the file holds results of other queries.
     """
     # The numbers of the queries that share a cost map and weights.
     by_map: dict[tuple, list[int]] = {}
@@ -326,8 +319,6 @@ def _plan_batch(
                 if isinstance(outcome, Path):
                     planned = finish(cost_map, outcome, ends, search)
                     results.add(k, planned.status.value, planned.message, planned, key)
-                elif results.strict:
-                    raise outcome
                 else:  # the planner crashed
                     failed = failure(outcome)
                     results.add(k, failed["status"], failed["note"], key=key)

@@ -112,9 +112,9 @@ def cost_rows(
     )
 
 
-def route_button(planner: str, colour: str, text: str, notes: Iterable[str]) -> str:
-    """Return the button that chooses a route: its planner and a text, and below these each note on a line."""
-    below = "".join(f"<small>{escape(note)}</small>" for note in notes)
+def route_button(planner: str, colour: str, text: str, note: str) -> str:
+    """Return the button that chooses a route: its planner and a text, and a note below these."""
+    below = f"<small>{escape(note)}</small>"
     return f'<button class="jv-route">{dot(colour)}{escape(planner)}<b>{escape(text)}</b>{below}</button>'
 
 

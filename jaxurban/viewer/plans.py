@@ -23,7 +23,6 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import cell_at
 from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.paths.route_report import RouteReport
-from jaxurban.paths.snapping import OVER_ROOF
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.settings import DEFAULTS, PlannerName, Preset
@@ -135,22 +134,6 @@ class Plans:
         return self._routes.get(
             key, lambda: simplify(planned, self.cost_map(query, at), half_cell_m)
         )
-
-    def moved(self, query: Plan, at: OneMap) -> list[str]:
-        """Return a sentence for each end of a route that was moved: how far, and what closed the cell where it was."""
-        moves_m = self.route(query, at).snap_distance_m
-        costs = self.cost_map(query, at)
-        ends = {"start": query.start, "goal": query.goal}
-        sentences = []
-        for (name, lonlat), moved_m in zip(ends.items(), moves_m, strict=True):
-            _, cell = cell_at(self.maps.grid, name, lonlat)
-            if not costs.is_free[cell]:
-                sentences.append(
-                    f"{name} moved {moved_m:.0f} m: it was {costs.free_space.why_closed(cell)}"
-                )
-            elif query.on_ground and not costs.free_space.to_ground(0)[cell]:
-                sentences.append(f"{name} moved {moved_m:.0f} m: it was {OVER_ROOF}")
-        return sentences
 
     def why(self, query: Plan, at: OneMap) -> str:
         """Return whether the start of a query is free, or what closes it, and which share of the cells each cause does.

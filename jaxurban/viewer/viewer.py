@@ -32,7 +32,6 @@ from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import cautious_profile
 from jaxurban.paths.route_report import CLEARANCE, RouteReport
-from jaxurban.planners.base import Status
 from jaxurban.planners.registry import BY_METHOD, PLANNERS
 from jaxurban.progress import LOG
 from jaxurban.receivers.along import sky_from
@@ -464,13 +463,14 @@ class Viewer:
         text = "no path"
         if planned.status.has_path:
             text = f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km"
-        notes = [status_said(planned), *self.plans.moved(query, at)]
         return {
             "planner": query.planner,
             "has_path": planned.status.has_path,
             "xy_m": planned.xy_m,
             "cost": number_or_none(planned.cost),
-            "button": markup.route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
+            "button": markup.route_button(
+                query.planner, PLANNER_LINES[query.planner], text, planned.message
+            ),
             "html": markup.cost_rows(planned.cost_by_layer, self._labels, self._colours),
             "message": planned.message,
             "command": self.plans.command(query, at),
@@ -558,25 +558,6 @@ def _total_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, st
                 text = f"{minutes} min {seconds} s".removeprefix("0 min ")
             rows.append((label, text))
     return rows
-
-
-def status_said(planned: PlannedPath) -> str:
-    """Return in words how a planner's search ended: its status, the paths that it searched, and its gap.
-
-    The gap is by how much the path may cost more than the cheapest of these paths; if it is not known, that is said.
-    """
-    search = planned.search
-    text = planned.status.value
-    if not planned.status.has_path:
-        return text
-    proof = "not proven the cheapest"
-    if planned.status is Status.OPTIMAL:
-        proof = "the cheapest of its kind"
-    elif search.gap < math.inf:
-        proof = f"at most {search.gap:.1%} above the cheapest"
-    if search.graph:
-        text = f"{text} ({search.graph})"
-    return f"{text}, {proof}"
 
 
 def _words(layer: DrawnLayer) -> dict[str, Any]:

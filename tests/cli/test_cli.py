@@ -17,7 +17,6 @@ from shapely import box
 
 import jaxurban as ju
 from jaxurban.cli.main import app
-from jaxurban.cli.plan import _path_table
 from jaxurban.io.glance import glance
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.terminal.common import use_device
@@ -357,24 +356,6 @@ def test_a_reader_of_stdout_that_leaves_is_no_error(arguments):
     finally:
         os.close(write_end)
     assert (left.returncode, left.stderr) == (0, b"")
-
-
-def test_the_table_of_a_path_parts_long_names_from_their_numbers():
-    metrics = {"gps_horizontal": 0.9, "a_layer_of_a_very_long_name": 0.5}
-    facts = {
-        "planner": "p",
-        "heuristic": "h",
-        "backend": "b",
-        "status": "optimal",
-        "cost": 1.0,
-        "gap": 0.0,
-    }
-    facts |= {"length_m": 1.0, "snap_distance_m": {}, "metrics": metrics, "message": ""}
-    facts |= {"cost_by_layer": metrics, "exposure_by_layer": metrics}
-    lines = _path_table(facts | {"num_expanded": 1, "elapsed_s": 0.1, "setup_s": 3.0}).splitlines()
-    assert lines[-1].split(maxsplit=2)[2] == "0.100 s, after 3.0 s of compiling"
-    assert f"{'mean m_gps_horizontal':<40}0.900" in lines
-    assert "exposure to a_layer_of_a_very_long_name 0.500" in lines
 
 
 def test_view_writes_one_file_that_asks_nobody(made, tmp_path, capsys):
