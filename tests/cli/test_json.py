@@ -91,7 +91,6 @@ def test_a_fault_and_an_interrupt_are_objects_too(name, capsys, monkeypatch):
         ("plan maps", "--start"),
         ("plan", "DIR"),
         ("info no.tif", None),
-        ("plan maps {route} --weights", "--weights"),
         ("maps town.toml -o out --set gps.mask_deg=95", None),
         ("plan maps {route} --mission land", None),
     ],
