@@ -12,15 +12,9 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.core import event  # documented (Numba's event API)
 
 from jaxurban.programs import say_compiling
-
-try:
-    from numba.core import (
-        event,
-    )  # documented (Numba's event API); without it nothing is said of compiling
-except ImportError:
-    event = None  # type: ignore[assignment]
 
 config: Any = numba.config
 
@@ -101,7 +95,7 @@ def _digest(module: str) -> str:
     return hashlib.sha256("".join([source, *map(_digest, inner)]).encode()).hexdigest()[:16]
 
 
-class _CompileNotice(event.Listener if event else object):  # type: ignore[misc]
+class _CompileNotice(event.Listener):
     """Says once that kernels of this package are compiled."""
 
     def on_start(self, event: Any) -> None:
@@ -113,5 +107,4 @@ class _CompileNotice(event.Listener if event else object):  # type: ignore[misc]
 
 # At import, as Numba tells of compiling only those who listen before it begins, and whatever compiles imports this
 # module. Listening changes nothing of Numba; the log is told once (`say_compiling`).
-if event is not None:
-    event.register("numba:compile", _CompileNotice())
+event.register("numba:compile", _CompileNotice())

@@ -16,9 +16,9 @@ ONLY_JAX = (
 )
 
 
-def uses_numba(engine: str, platform: str | None = None) -> bool:
+def uses_numba(engine: str) -> bool:
     """Return whether a kernel that has a form in Numba runs it; for ``"auto"`` where JAX's platform is a CPU."""
-    return engine == "numba" or (engine == "auto" and (platform or _platform()) == "cpu")
+    return engine == "numba" or (engine == "auto" and _platform() == "cpu")
 
 
 def runs_numba(engine: str, *values: Any) -> bool:

@@ -309,26 +309,23 @@ def exact_cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
     return costs_to_go[problem.goal]
 
 
-def make_landmarks(
-    problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np.inf
-) -> LandmarkBound:
+def make_landmarks(problem: Problem, end_s: float = np.inf) -> LandmarkBound:
     """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
 
-    Landmarks that the map has already are returned, whatever their number. Their bound is lowered by one unit in the
+    Landmarks that the map has already are returned. Their bound is lowered by one unit in the
     last place of the largest cost for every cell, which is more than the sums along any path can lose, and by two in
     the last place of float32, in which costs are kept (each of the two costs and their difference lose half a unit at
     most), so that rounding never lifts it above the true cost.
 
     Args:
       problem: the query; its start and goal play no part.
-      num: how many landmarks; fewer if the map has fewer cells.
       end_s: time of `time.perf_counter` to give up at.
 
     Raises:
       TimeoutError: the clock passed ``end_s``.
     """
     if problem.cache.landmarks is None:
-        cells = landmark_cells(problem, num)
+        cells = landmark_cells(problem, NUM_LANDMARKS)
         costs = np.empty((*problem.is_free.shape, len(cells)), np.float32)
         for k, cell in enumerate(cells):
             costs_to_cell = symmetric_costs(problem.between(cell, cell), end_s)

@@ -38,7 +38,14 @@ REPORTED_VERSIONS = (
 NOT_OF_MAPS = ("weights", "planning", "vehicle", "study")
 MOST_SAID, NOT_SET = 6, "not set"  # of differing settings in one sentence
 DIGITS_SAID = 8  # of a SHA-256
-MAP_FOLDERS = ("kernels", "world", "metrics", "io", "cities", "maps")  # of the package: what maps depend on
+MAP_FOLDERS = (
+    "kernels",
+    "world",
+    "metrics",
+    "io",
+    "cities",
+    "maps",
+)  # of the package: what maps depend on
 
 Differing = dict[str, tuple[Any, Any]]  # old and new value by dotted key, None for what is not set
 # Path, SHA-256 and bytes of each input file and its companions, by its role.

@@ -274,25 +274,20 @@ class Constraints:
     @property
     def horizontal_m(self) -> float:
         """The clearance and the vehicle's radius."""
-        return self._clearances_m["clearance_m"] + (self.vehicle or Vehicle()).radius_m
+        return self._whole.clearance_m + self._whole.vehicle.radius_m
 
     @property
     def vertical_m(self) -> float:
         """The vertical clearance."""
-        return self._clearances_m["vertical_clearance_m"]
-
-    @property
-    def _clearances_m(self) -> dict[str, float]:
-        """Both clearances by name; what is left out is as without any scenario."""
-        return {name: getattr(self._whole, name) for name in CLEARANCES}
+        return self._whole.vertical_clearance_m
 
     @property
     def of_unknown(self) -> UnknownHeights:
         """``unknown_heights``, as without any scenario where it is left out."""
-        return self.unknown_heights or DEFAULTS.rules.unknown_heights
+        return self._whole.unknown_heights
 
     @property
-    def _whole(self) -> "Constraints":
+    def _whole(self) -> Any:
         """The constraints with what is left out as without any scenario."""
         return self.under(DEFAULTS, Vehicle())
 
@@ -375,11 +370,13 @@ class Constraints:
             }
             for zone in self.zones
         ]
+        kept_m = {name: float(getattr(self._whole, name)) for name in CLEARANCES}
+        clearances_m = {name: metres for name, metres in kept_m.items() if metres}
         return {
             "no_fly": zones,
             "require": [str(bound) for bound in self.bounds],
-            **{name: float(metres) for name, metres in self._clearances_m.items() if metres},
-            **(self.vehicle or Vehicle()).to_dict(),
+            **clearances_m,
+            **self._whole.vehicle.to_dict(),
             "unknown_heights": self.of_unknown,
             **({"above_gps_floor": True} if self.above_gps_floor else {}),
         }

@@ -21,7 +21,6 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import FreeSpace
-from jaxurban.planners.astar import make_landmarks
 from jaxurban.planners.base import Problem
 from jaxurban.planners.cost import CostModel, PathFeatures
 from jaxurban.public import FactsRepr
@@ -56,7 +55,6 @@ class CostMap(FactsRepr):
       costs: ``[L, Y, X]`` float32 their costs c_j in [0, 1], not weighted, those of m = 0 where a closed cell has no
         value; ``[L, K, Y, X]`` in a volume.
       is_free: ``[Y, X]`` or ``[K, Y, X]`` bool, where a path may fly: no obstacle, data there, within the constraints.
-      is_prepared: whether landmarks guide the planners that choose their heuristic (see `prepare`).
 
     Examples:
       >>> cost_map = ju.cost_map(maps, 60.0)
@@ -78,7 +76,6 @@ class CostMap(FactsRepr):
     names: tuple[str, ...]
     costs: np.ndarray
     is_free: np.ndarray
-    is_prepared: bool = False
 
     @property
     def facts(self) -> dict[str, str]:
@@ -276,13 +273,13 @@ class CostMap(FactsRepr):
             )
         is_kept = np.isin(self.names, names)
         kept_names = tuple(name for name in self.names if name in names)
-        return replace(self, names=kept_names, costs=self.costs[is_kept], is_prepared=False)
+        return replace(self, names=kept_names, costs=self.costs[is_kept])
 
     def with_weights(self, weights: WeightsLike) -> "CostMap":
         """Return the map under other weights; both maps share what does not depend on weights (`Problem.with_weights`).
 
         Returns:
-          `CostMap` without landmarks. Weights that are not named are as in the maps' scenario or by default.
+          `CostMap`. Weights that are not named are as in the maps' scenario or by default.
 
         Raises:
           InputError: an invalid weight, or of a metric that the maps lack.
@@ -293,38 +290,9 @@ class CostMap(FactsRepr):
           >>> [round(each.plan(start, goal).length_m) for each in (cost_map, avoiding)]
           [848, 864]
         """
-        other = replace(self, weights=weights_on(self.maps, weights), is_prepared=False)
+        other = replace(self, weights=weights_on(self.maps, weights))
         vars(other).update(shortest=self.shortest, free_space=self.free_space)
         return other
-
-    def prepare(self) -> "CostMap":
-        """Return the map with landmarks, for many queries under these weights, each two to three times as fast.
-
-        They guide ``astar`` where a query names no heuristic. Costs are the same; of equally cheap routes another
-        one may be returned. This map stays as it is.
-
-        Returns:
-          `CostMap` whose ``is_prepared`` is True.
-
-        Raises:
-          InputError: a volume, or no cell is free.
-
-        Examples:
-          >>> cost_map = ju.cost_map(maps, 60.0).prepare()
-          >>> cost_map.plan(start, goal).search.heuristic
-          'landmarks'
-        """
-        if self.levels is not None:
-            raise InputError(
-                "landmarks are for one altitude: leave prepare() out of a map between levels"
-            )
-        # The landmarks are kept by the problem, which the new map shares. Searches on this map pass over them.
-        make_landmarks(self.problem)
-        prepared = replace(self, is_prepared=True)
-        vars(prepared).update(
-            shortest=self.shortest, problem=self.problem, free_space=self.free_space
-        )
-        return prepared
 
     @property
     def leg_margin_m(self) -> float:

@@ -20,13 +20,12 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, End, Point
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import snap_note
-from jaxurban.planners.astar import AUTO
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.corners import with_corner_bound
 from jaxurban.planners.exposure import within_budgets
 from jaxurban.planners.refine import check_line_model
 from jaxurban.planners.refine import refine as refine_path
-from jaxurban.planners.registry import PLANNERS, find_planner
+from jaxurban.planners.registry import find_planner
 from jaxurban.planners.simplify import simplify_path
 from jaxurban.progress import warn_if_slow
 
@@ -62,10 +61,6 @@ def plan_on(
     Returns:
       `PlannedPath`, as of `CostMap.plan`, which is simpler to call; errors too.
     """
-    # The planner: landmarks guide it where the map is prepared and the search leaves its heuristic to it.
-    is_guided = cost_map.is_prepared and not search.exposure and search.heuristic is None
-    if is_guided and PLANNERS[search.planner].default_heuristic == AUTO:
-        search = replace(search, heuristic="landmarks")
     find_path = find_planner(
         search.planner,
         search.heuristic,

@@ -229,9 +229,7 @@ def grouped_options(
     return add
 
 
-def options_of(
-    settings: Any, argument: str = "settings", without: Sequence[str] = (), **spelled: str
-) -> Decorator:
+def options_of(settings: Any) -> Decorator:
     """Return a decorator that gives a command an option for each field of a settings class, and an instance of it.
 
     A field's own name, default, kind and line in the docstring of the class are those of the option: ``num_samples``
@@ -240,19 +238,16 @@ def options_of(
 
     Args:
       settings: a dataclass whose fields all have defaults.
-      argument: name of the command's argument that gets the instance.
-      without: names of fields that get no option and keep their defaults.
-      spelled: options by the names of their fields, where they are called otherwise, as ``factors="--range"``.
     """
     hints, texts = get_type_hints(settings), texts_of(settings)
-    chosen = [item for item in fields(settings) if item.name not in without]
+    chosen = fields(settings)
     options = []
     for item in chosen:
         name = re.sub(r"^(num|has|is)_|_(m|s|m_s|deg|w)$", "", item.name).replace("_", "-")
         text = texts.get(item.name, "")
         is_flag = hints[item.name] is bool
         option = click.option(
-            spelled.get(item.name, f"--{name}"),
+            f"--{name}",
             item.name,
             type=None if is_flag else type_of(hints[item.name]),
             is_flag=is_flag,
@@ -263,4 +258,4 @@ def options_of(
         )
         options.append(option)
     names = [item.name for item in chosen]
-    return grouped_options(argument, settings, *options, names=names)
+    return grouped_options("settings", settings, *options, names=names)

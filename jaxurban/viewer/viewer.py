@@ -5,7 +5,6 @@ import math
 import re
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cached_property, partial
 from html import escape
 from pathlib import Path
@@ -31,7 +30,7 @@ from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import cautious_profile
-from jaxurban.paths.route_report import CLEARANCE, RouteReport
+from jaxurban.paths.route_report import CLEARANCE
 from jaxurban.planners.registry import BY_METHOD, PLANNERS
 from jaxurban.progress import LOG
 from jaxurban.receivers.along import sky_from
@@ -65,27 +64,20 @@ from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, packed_tile, strides_o
 from jaxurban.world.grid import crs_said
 
 JSON, BYTES = "application/json", "application/octet-stream"
-SECONDS_PER_MINUTE = 60
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
 PLANNER_LINES = planner_colours(PLANNERS)
-TOTALS = {  # of `RouteReport.totals`, and of `Vehicle.to_dict`, of which climb, descent and turns are the limits
-    "length_m": ("Length", "m"),
-    "cost": ("Cost", ""),
-    "people_overflown": ("People overflown", ""),
-    "no_fix_m": ("Without a fix", "m"),
-    "below_gps_floor_m": ("Below the GPS floor", "m"),
-    "nearest_wall_m": ("Least clearance", "m"),
-    "least_over_roofs_m": ("Least over roofs", "m"),
-    "return_altitude_m": ("Return altitude", "m"),
-    "time_s": ("Time", "s"),
-    "energy_wh": ("Energy", "Wh"),
-    "vehicle_radius_m": ("Vehicle, radius", "m"),
-    "vehicle_speed_m_s": ("Vehicle, speed", "m/s"),
-    "vehicle_power_w": ("Vehicle, power", "W"),
-    "vehicle_max_climb_m_s": ("Vehicle, climb", "m/s"),
-    "vehicle_max_descent_m_s": ("Vehicle, descent", "m/s"),
-    "vehicle_max_turn_deg": ("Vehicle, turns", "°"),
-}
+TOTALS = (  # of `RouteReport.facts`; the costs of layers stand below these, and the whole report is in a fold
+    "length m",
+    "cost",
+    "people overflown",
+    "no fix m",
+    "below gps floor m",
+    "nearest wall m",
+    "least over roofs m",
+    "return altitude m",
+    "time s",
+    "energy wh",
+)
 
 
 class Answer(NamedTuple):
@@ -490,7 +482,7 @@ class Viewer:
         at = self.flight(query)
         report, planned = self.plans.report(query, at)
         mission = self.plans.mission(query, at)
-        table, totals = report.profile, report.totals
+        table, facts = report.profile, report.facts
 
         rules = sentences([("note", rules_said(planned.settings))])
 
@@ -499,12 +491,12 @@ class Viewer:
         saved = [f"{len(lonlat)} waypoints, cost {number(mission.cost)}"]
         if planned.cost > 0:
             saved.append(f"{mission.cost / planned.cost - 1:+.1%}")
-        saved += self._least_clearance(mission, totals[CLEARANCE])
+        saved += self._least_clearance(mission, report.totals[CLEARANCE])
 
         length_m = max(planned.length_m, 1e-9)  # a route of no length has one crossing, to 0 m
         return {
             "cautions": sentences((caution.level, caution) for caution in report.cautions),
-            "totals": markup.rows(_total_rows(report, planned)),
+            "totals": markup.rows((name, facts[name]) for name in TOTALS if name in facts),
             "profile": markup.profile(planned, self.maps, report) + rules,
             "to_share": np.round(table["to_m"].to_numpy() / length_m, 5),
             "xy": self._on_page(table[["lon", "lat"]].to_numpy()),
@@ -539,25 +531,6 @@ class Viewer:
           InputError: there is no such format, or no route.
         """
         return self.plans.file(query, self.flight(query), query.format)
-
-
-def _total_rows(report: RouteReport, planned: PlannedPath) -> list[tuple[str, str]]:
-    """Return rows (label, text) of `TOTALS`: a route's totals and its vehicle, as far as these are known."""
-    # The vehicle that the route was planned for, at the speed and power of its report.
-    settings = report.settings
-    vehicle = replace(
-        Vehicle.of(planned.settings), speed_m_s=settings["speed_m_s"], power_w=settings["power_w"]
-    )
-    facts = {**report.totals, **vehicle.to_dict()}
-    rows = []
-    for name, (label, unit) in TOTALS.items():
-        if name in facts:
-            text = f"{number(facts[name])} {unit}"
-            if name == "time_s":
-                minutes, seconds = divmod(round(facts[name]), SECONDS_PER_MINUTE)
-                text = f"{minutes} min {seconds} s".removeprefix("0 min ")
-            rows.append((label, text))
-    return rows
 
 
 def _words(layer: DrawnLayer) -> dict[str, Any]:

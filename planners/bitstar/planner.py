@@ -230,7 +230,8 @@ def bitstar(
     20 ms of search, and between batches.
 
     The status is OPTIMAL where the cost meets the lower bound, and NO_PATH where obstacles separate start and
-    goal. Of ``diagonal`` only ``"always"`` plays a part: then a path may pass between two obstacles that touch at a corner.
+    goal. Of ``diagonal`` only ``"always"`` plays a part: then a path may pass between two obstacles that touch at a
+    corner.
     ``connectivity`` plays none. Under the ``cell`` model a step of any length costs one cell, so that
     A*'s diagonals, of 1.41 cell sides, are cheaper than any longer edge, which costs every cell
     side: to compare planners use ``line``.

@@ -41,7 +41,6 @@ def test_exposures_are_integrals_and_budgets_are_kept_at_the_least_length(on, en
     assert free.cost < path.cost <= safe.length_m * (1 + 1e-9)
     assert free.cost <= path.search.lower_bound <= path.cost
     assert path.settings["exposure"] == {"risk": most}
-    assert on.prepare().plan(**ends, exposure={"risk": most}).cost == path.cost
     assert on.plan(**ends, exposure={"risk": 1e9}).cost == free.cost
 
 

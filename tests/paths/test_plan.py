@@ -216,20 +216,13 @@ def test_equal_plans_are_one_route(town, shortest, pairs):
             np.testing.assert_array_equal(path.xy_m, alone.xy_m)
 
 
-def test_a_prepared_map_plans_by_landmarks_at_the_same_cost_and_leaves_the_other_as_it_was(
-    town, shortest, pairs
-):
+def test_landmarks_find_the_same_cost_and_leave_other_searches_as_they_were(shortest, pairs):
     before = [shortest.plan(*pair) for pair in pairs]
-    prepared = shortest.prepare()
     for pair, path in zip(pairs, before, strict=True):
-        guided, after = prepared.plan(*pair), shortest.plan(*pair)
+        guided, after = shortest.plan(*pair, heuristic="landmarks"), shortest.plan(*pair)
         assert (guided.search.heuristic, after.search.heuristic) == ("landmarks", "tiles")
         assert guided.search.cost == pytest.approx(path.search.cost, rel=1e-9)
         np.testing.assert_array_equal(after.xy_m, path.xy_m)
-    assert prepared.plan(*pairs[0], heuristic="octile").search.heuristic == "octile"
-    assert prepared.plan(*pairs[0], planner="astar-dist").search.heuristic == "euclidean"
-    assert prepared.with_weights({"gps": 2}).plan(*pairs[0]).search.heuristic == "tiles"
-    assert prepared.only(["gps"]).plan(*pairs[0]).search.heuristic == "tiles"
 
 
 def test_a_search_that_lasts_says_so_and_for_how_long(town, shortest, pairs, monkeypatch, caplog):

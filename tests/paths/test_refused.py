@@ -137,10 +137,6 @@ REFUSED = [
     (lambda s: s.levels(heuristic="plsu"), "did you mean 'plus'"),
     (lambda s: s.levels(planner="ptp"), "does not fly in a volume"),
     (lambda s: s.levels(refine=True), "leave it out"),
-    (
-        lambda s: ju.cost_map(s.maps, ju.Levels(20.0, 60.0, 40.0)).prepare(),
-        "landmarks are for one altitude",
-    ),
     # many at once
     (
         lambda s: s.many(planer="ptp"),
@@ -196,7 +192,7 @@ REFUSED = [
     (lambda s: Bound("lidar", ">=", 0.4).is_kept(s.maps, 61.0), "no maps for altitude 61"),
     (lambda s: s.plan(constraints=NOWHERE, snap=True), NO_CELL),
     (
-        lambda s: ju.cost_map(s.maps, Z_M, constraints=NOWHERE).prepare(),
+        lambda s: ju.cost_map(s.maps, Z_M, constraints=NOWHERE).problem,
         "no cell is free at 20 m: ",
     ),
     (

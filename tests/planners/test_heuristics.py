@@ -150,7 +150,7 @@ def test_tables_are_made_once_for_all_queries_that_they_serve():
     assert make_heuristic("exact", problem).field is field
     assert make_heuristic("exact", problem.between(problem.goal, (1, 1))).field[1, 1] == 0
     assert problem.goal not in problem.with_weights([0.2, 1.0]).cache.costs_to_go
-    landmarks = make_landmarks(problem, 2)
+    landmarks = make_landmarks(problem)
     assert make_landmarks(problem.between((1, 1), (0, 0))) is landmarks
 
 
