@@ -191,7 +191,9 @@ def unlisted(listed: Iterable[object]) -> Iterator[str]:
         for found in pkgutil.walk_packages(folder, f"jaxurban.{package}."):
             module = importlib.import_module(found.name)
             for name, value in vars(module).items():
-                is_own = hasattr(value, "programs") and getattr(value, "__module__", "") == found.name
+                is_own = (
+                    hasattr(value, "programs") and getattr(value, "__module__", "") == found.name
+                )
                 if is_own and id(value) not in known:
                     yield f"{found.name}.{name} is not in the list of kernels (benchmarks/cuda_kernels.py)"
 

@@ -136,7 +136,15 @@ def on_disk(scenario: str) -> Job:
 
         def work() -> None:
             with tempfile.TemporaryDirectory(dir=folder) as out:
-                sys.argv = ["", "maps", "scenario.toml", "-o", f"{out}/maps", "--engine", engine]
+                sys.argv = [
+                    "",
+                    "maps",
+                    "scenario.toml",
+                    "-o",
+                    f"{out}/maps",
+                    "--set",
+                    f'region.engine="{engine}"',
+                ]
                 try:
                     runpy.run_module("jaxurban", run_name="__main__")
                 except SystemExit as ended:

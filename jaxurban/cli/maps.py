@@ -42,12 +42,6 @@ from jaxurban.terminal.options import command
 )
 @WORKERS
 @DEVICE_CHOICE()
-@click.option(
-    "--engine",
-    type=click.Choice(["auto", "numba", "jax"]),
-    help="JAX, or Numba where it has a form; on a CPU both give the same bits.  [default: the scenario's, else auto: "
-    "the quicker one]",
-)
 @JSON_FLAG
 def maps_command(
     scenario_file: Path,
@@ -59,7 +53,6 @@ def maps_command(
     memory: str | None,
     workers: int | str | None,
     device: str | None,
-    engine: str | None,
     as_json: bool,
 ) -> None:
     """Make the metric maps of SCENARIO.
@@ -81,8 +74,6 @@ def maps_command(
     if has_processes:
         stay_on_cpu()
     use_device(device)
-    if engine:
-        changes = (*changes, f'region.engine = "{engine}"')
     scenario = Scenario.from_toml(scenario_file, changes)
     memory_bytes = None if memory is None else parse_bytes(memory)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import BoundaryNorm, Normalize
+from matplotlib.colors import BoundaryNorm
 
 from jaxurban.draw.frame import BLOCKED_COLOUR, NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.draw.metrics import (
@@ -23,7 +23,7 @@ from jaxurban.draw.style import Colours, bar_ticks, tick_label
 from jaxurban.flights.return_altitude import LONG_NAME, NAME
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
-from jaxurban.metrics.base import ALTITUDE, Metric, Scale, Variable, high_is_bad
+from jaxurban.metrics.base import ALTITUDE, Scale, Variable
 from jaxurban.metrics.custom import is_of_sky
 from jaxurban.metrics.gps import FIX
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR
@@ -33,7 +33,7 @@ from jaxurban.viewer.markup import legend
 
 # Of the causes that close cells without an obstacle.
 CAUSE_COLOURS = "#8da0cb", "#66c2a5", "#a6d854", "#fc8d62", "#e78ac3"
-H_NORM, COST_OF = "h_norm", "cost:"
+H_NORM = "h_norm"
 BAR_COLOURS = 256  # steps of the bar of a layer without classes
 CLOSED = Variable(
     "closed",
@@ -72,14 +72,12 @@ class DrawnLayer:
       name: the layer's name in requests.
       variable: its heading, unit, classes and dimensions.
       group: heading of the list in which the page offers it.
-      cost_of: the metric whose cost the layer is; None for a layer that is no cost of one metric.
     """
 
     maps: MetricMaps
     name: str
     variable: Variable
     group: str
-    cost_of: Metric | None = None
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -110,13 +108,11 @@ class DrawnLayer:
         return np.where(obstacles_at(self.maps, at.altitude_m), OBSTACLE, values)
 
     def _read(self, at: OneMap) -> np.ndarray:
-        """Return the values ``[Y, X]`` without regard to obstacles: a map's, a metric's cost, or computed from maps.
+        """Return the values ``[Y, X]`` without regard to obstacles: a map's, or computed from maps.
 
         The sum of costs, `H_NORM`, is that of the lowest altitude where none is asked for.
         """
         maps, name = self.maps, self.name
-        if self.cost_of:
-            name = self.cost_of.name
         altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
         if name == CLOSED.name:
             return causes_at(maps, rules_on(maps, None, None, "")[2], altitude_m)
@@ -125,10 +121,8 @@ class DrawnLayer:
 
         # A map, or what is computed from several maps at an altitude.
         if maps.variable(name) not in maps.ds and at.altitude_m is not None:
-            values = values_of(maps, name, at.altitude_m, at.time)
-        else:
-            values = maps.m(name, at.altitude_m, time=at.time, time_of_day=at.time_of_day)
-        return np.asarray(self.cost_of.cost(values)) if self.cost_of else values
+            return values_of(maps, name, at.altitude_m, at.time)
+        return maps.m(name, at.altitude_m, time=at.time, time_of_day=at.time_of_day)
 
     def colours(self, values: np.ndarray) -> Colours:
         """Return the colour map, scale and label by which values ``[Y, X]`` of this layer are drawn.
@@ -139,29 +133,20 @@ class DrawnLayer:
             return COST_COLOURS
         if self.name in LABELS:
             return colours_of(self.variable, lambda: values, LABELS[self.name])
-        metric = self.cost_of
-        if metric is None:
-            return metric_colours(self.maps, self.name, None if self.dims else values)
-
-        # A cost has the metric's colours, so that the same cell looks alike in both.
-        label = f"c_{metric.name}, cost before its weight (0: best, 1: worst)"
-        colour_map = metric.colour_map
-        if metric.cost is not high_is_bad:
-            colour_map = f"{colour_map}_r"
-        return Colours(colour_map, Normalize(0, 1), label)
+        return metric_colours(self.maps, self.name, None if self.dims else values)
 
 
 def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
     """Return every layer of these maps that can be drawn, by name.
 
-    The order is that of the page's list: metrics, costs, satellites, the ground, all else.
+    The order is that of the page's list: metrics, all costs together, satellites, the ground, all else.
     """
     variables = drawn_variables(maps)
     layers: dict[str, DrawnLayer] = {}
 
-    def add(name: str, variable: Variable, group: str, cost_of: Metric | None = None) -> None:
+    def add(name: str, variable: Variable, group: str) -> None:
         """Add a layer behind the others."""
-        layers[name] = DrawnLayer(maps, name, variable, group, cost_of)
+        layers[name] = DrawnLayer(maps, name, variable, group)
 
     # Metrics, and their costs together, which vary with all that a metric varies with.
     metric_dims = [ALTITUDE]
@@ -170,11 +155,6 @@ def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
         metric_dims += variables[name].dims
     total = Variable(H_NORM, "all costs together", dims=tuple(dict.fromkeys(metric_dims)))
     add(H_NORM, total, "Costs")
-
-    # The cost of each metric.
-    for name, metric in maps.metrics.items():
-        cost = Variable(f"{COST_OF}{name}", f"cost: {metric.cost_label}", dims=variables[name].dims)
-        add(cost.name, cost, "Costs", metric)
 
     add(CLOSED.name, CLOSED, "Costs")
 

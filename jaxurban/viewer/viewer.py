@@ -536,12 +536,11 @@ class Viewer:
 def _words(layer: DrawnLayer) -> dict[str, Any]:
     """Return the words for a layer in the list of the values of a cell.
 
-    ``told`` is the layer's label in the list, "" for a layer that the list leaves out: of the costs it has the sum
-    alone. ``classes`` are the names of the layer's classes, and ``unit`` is its unit.
+    ``told`` is the layer's label in the list, "" for that of closed cells, which the list leaves out. ``classes`` are the names of the layer's classes, and ``unit`` is its unit.
     """
     variable = layer.variable
     label = variable.symbol or variable.heading
-    if layer.group == "Costs" and layer.name != H_NORM:
+    if layer.name == CLOSED.name:
         label = ""
     classes = [name for name, _ in variable.classes]
     unit = {"1": "", "km-2": "per km²"}.get(variable.unit, variable.unit)

@@ -105,7 +105,8 @@ def test_a_wrong_engine_is_one_sentence():
 
 def test_numba_warns_once_where_maps_are_made_and_not_where_they_are_read(town, tmp_path, capsys):
     made, read = tmp_path / "out", ("--at=-73.997,40.758", "--altitude", 20)
-    for command in (("maps", town, "-o", made, "--engine", "numba"), ("sky", made, *read)):
+    chosen = "--set", 'region.engine="numba"'
+    for command in (("maps", town, "-o", made, *chosen), ("sky", made, *read)):
         code, _, err = run(capsys, *command)
         assert (code, err.count(ONLY_JAX)) == (0, int(command[0] == "maps"))
 
@@ -118,7 +119,7 @@ def test_a_run_records_its_engine_and_another_one_keeps_its_maps(town, tmp_path,
         record = json.loads((tmp_path / "out" / "run.json").read_text())
         return record["engine"], record["by_numba"], record["settings"]["region"]["engine"]
 
-    assert engines("--engine", "numba") == ("numba", [], "numba")
+    assert engines("--set", 'region.engine="numba"') == ("numba", [], "numba")
     assert engines() == ("numba", [], "auto")
     assert engines("--overwrite", "--set", "lidar.beams=3") == ("jax", [], "auto")
 
