@@ -536,7 +536,8 @@ class Viewer:
 def _words(layer: DrawnLayer) -> dict[str, Any]:
     """Return the words for a layer in the list of the values of a cell.
 
-    ``told`` is the layer's label in the list, "" for that of closed cells, which the list leaves out. ``classes`` are the names of the layer's classes, and ``unit`` is its unit.
+    ``told`` is the layer's label in the list, "" for that of closed cells, which the list leaves out. ``classes``
+    are the names of the layer's classes, and ``unit`` is its unit.
     """
     variable = layer.variable
     label = variable.symbol or variable.heading

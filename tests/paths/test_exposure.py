@@ -97,7 +97,7 @@ def test_the_command_prints_the_exposure_and_ends_with_3_where_no_path_keeps_the
     given = ("plan", folder, *options_of(maps, **ends))
     code, out, _ = run(capsys, *given, "--exposure", "gps<=1000", "--exposure", "risk <= 1000")
     assert code == 0
-    assert re.search(r"^exposure to gps +\d+\.\d{3}$", out, re.MULTILINE)
+    assert re.search(r"^gps +\d+\.\d{3} +\d+\.\d{3} +\d\.\d{3}$", out, re.MULTILINE)
     code, out, _ = run(capsys, *given, "--exposure", "gps<=0.001", "--json")
     facts = json.loads(out)
     assert (code, facts["status"]) == (3, Status.OVER_EXPOSURE.value)
