@@ -118,16 +118,8 @@ def find_planner(
       InputError: an unknown planner or backend, or a heuristic or backend that it does not take.
     """
     fitting = VOLUME_PLANNERS if is_for_volumes else PLANNERS
-    if name not in fitting:
-        fault = f"unknown planner {name!r}"
-        if name in PLANNERS or name in VOLUME_PLANNERS:
-            where = "in a volume" if is_for_volumes else "on one altitude"
-            fault = f"planner {name!r} does not fly {where}"
-        raise InputError(
-            f"{fault}{nearest_name(name, fitting)}: choose one of {', '.join(fitting)}"
-        )
-
-    entry = fitting[name]
+    where = "in a volume" if is_for_volumes else "on one altitude"
+    entry = fitting[one_of(f"planner {where}", name, fitting)]
     if heuristic is not None and heuristic not in entry.heuristics:
         remedy = "leave it out"
         if entry.heuristics:

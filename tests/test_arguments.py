@@ -469,7 +469,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "fence_roofs_m": 60.0,
         "from_roof": Case(True, refused="not over a roof of known height"),
     },
-    "PlannedPaths.to_dataframe": {"with_points": True},
     "Planning": {
         "preset": "paper",
         "planner": "ptp",

@@ -214,7 +214,8 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
     """The paths of a batch in the order of its queries; None where there is not even a planner's verdict.
 
     Attributes:
-      rows: a row for each query: those of `to_dataframe` with ``with_points``.
+      rows: a row for each query: those of `to_dataframe`, with ``x_m`` and ``y_m``, the path's eastings and northings,
+        and ``search``, the rest of what the planner reported, as JSON.
       paths: for each query what the planner gave; None where it did not run to its end.
       was_interrupted: whether Ctrl-C ended the batch before its end.
 
@@ -285,12 +286,8 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
         return file
 
     @typed
-    def to_dataframe(self, *, with_points: bool = False) -> pd.DataFrame:
+    def to_dataframe(self) -> pd.DataFrame:
         """Return a table with one row per query: the query, status and message, costs, metrics, search.
-
-        Args:
-          with_points: also the columns ``x_m`` and ``y_m``, the path's eastings and northings as lists, and
-            ``search``, the rest of what the planner reported, as JSON.
 
         Returns:
           A `pandas.DataFrame` in the order of the queries; units end the names of its columns, and what a query
@@ -303,8 +300,6 @@ class PlannedPaths(FactsRepr, Sequence[PlannedPath | None]):
           [[0, 'optimal', 38], [1, 'optimal', 38]]
         """
         table = pd.DataFrame(self.rows)
-        if with_points:
-            return table
         return table.drop(columns=["x_m", "y_m", "search", "key"], errors="ignore")
 
 

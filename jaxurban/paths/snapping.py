@@ -324,12 +324,7 @@ class FreeSpace:
                 answer = f"Start and goal are joined {bound} {z_m:g} m. "
                 break
 
-        others = "Finer maps"
-        if str(self.constraints):  # a zone, a bound or a clearance, which another sentence lists
-            others = "Looser constraints or finer maps"
-        if "roof_guessed" in self.maps.ds:
-            others += ", or known heights of roofs that are guessed,"
-        return f"{answer}{others} may join them too."
+        return f"{answer}Looser constraints, finer maps or known heights may join them too."
 
     def why_closed(self, cell: Cell, level: int = 0) -> str:
         """Return what closes a cell, an obstacle or each constraint by name, and which level over it is free.

@@ -21,11 +21,6 @@ PANEL_IN = 1.0  # height of a panel of a profile, which has the width of a colum
 DRAWING = Lock()  # the look of figures is set for the whole process while one is drawn
 
 
-def number(value: float | None) -> str:
-    """Return a number as people read it: three digits, whole from 1000 on; a dash for None, inf and NaN."""
-    return "–" if value is None or not np.isfinite(value) else short(value)
-
-
 def options(items: Sequence[str], chosen: int = 0) -> str:
     """Return the options of a list, whose values are their numbers from 0; "" without items.
 
@@ -107,7 +102,7 @@ def cost_rows(
 ) -> str:
     """Return rows of a table: the part of a route's cost that each weight adds; parts, labels, colours are by name."""
     return "".join(
-        f"<tr><td>{dot(colours[name])}{escape(labels[name])}</td><td>{number(value)}</td></tr>"
+        f"<tr><td>{dot(colours[name])}{escape(labels[name])}</td><td>{short(value)}</td></tr>"
         for name, value in parts.items()
     )
 

@@ -30,7 +30,7 @@ from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import cautious_profile
-from jaxurban.paths.route_report import CLEARANCE
+from jaxurban.paths.route_report import CLEARANCE, short
 from jaxurban.planners.registry import BY_METHOD, PLANNERS
 from jaxurban.progress import LOG
 from jaxurban.receivers.along import sky_from
@@ -46,7 +46,7 @@ from jaxurban.viewer.layers import (
     layers_of,
     legend_of,
 )
-from jaxurban.viewer.markup import number, options, sentences
+from jaxurban.viewer.markup import options, sentences
 from jaxurban.viewer.outlines import STEP_M, packed_outlines
 from jaxurban.viewer.plans import Plans
 from jaxurban.viewer.requests import (
@@ -454,7 +454,7 @@ class Viewer:
         planned = self.plans.route(query, at)
         text = "no path"
         if planned.status.has_path:
-            text = f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km"
+            text = f"cost {short(planned.cost)} · {planned.length_m / 1000:.2f} km"
         return {
             "planner": query.planner,
             "has_path": planned.status.has_path,
@@ -488,7 +488,7 @@ class Viewer:
 
         # The waypoints, and how they differ from the route.
         lonlat = waypoints(mission).lonlat
-        saved = [f"{len(lonlat)} waypoints, cost {number(mission.cost)}"]
+        saved = [f"{len(lonlat)} waypoints, cost {short(mission.cost)}"]
         if planned.cost > 0:
             saved.append(f"{mission.cost / planned.cost - 1:+.1%}")
         saved += self._least_clearance(mission, report.totals[CLEARANCE])
@@ -514,9 +514,9 @@ class Viewer:
         least_m = cautious_profile(mission, self.maps)[CLEARANCE].min()
         if not math.isfinite(least_m):
             return []
-        text = f"least clearance {number(least_m)} m"
-        if least_m < route_m and number(least_m) != number(route_m):
-            text = f"{text}, the route {number(route_m)} m"
+        text = f"least clearance {short(least_m)} m"
+        if least_m < route_m and short(least_m) != short(route_m):
+            text = f"{text}, the route {short(route_m)} m"
         return [text]
 
     def _on_page(self, lonlat: np.ndarray) -> np.ndarray:

@@ -91,7 +91,6 @@ REFUSED = [
     ("view maps --no-browser --export no/such/place/page.html", "no/such/place"),
     ("view maps --no-browser --resolution 7", "7 m"),
     ("view maps --no-browser --size 0.0001", "--size"),
-    ("view maps --no-browser --against no/such/maps", "no/such/maps"),
     ("view maps --no-browser --port 99999", "--port"),
     ("view maps --no-browser --port {port}", "cannot listen", "--port"),
     (f"{ROUTE} --range 1", "--range", "0.1,10"),

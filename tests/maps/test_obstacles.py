@@ -76,7 +76,7 @@ NARROW = (-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4)  # a gap of 6.1 m: 
 
 def test_no_path_says_what_would_join_start_and_goal_and_what_would_not():
     narrow, closed = walled(*NARROW), walled((-50, 95.0, 250, 105.0), height_m=90.0)
-    joined = "Start and goal are joined at 60 m. Looser constraints or finer maps may join them too"
+    joined = "Start and goal are joined at 60 m. Looser constraints, finer maps or known heights may join them too"
     for path, words in (
         (ju.plan(narrow, **ENDS, altitude_m=20.0), joined),
         (

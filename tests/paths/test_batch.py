@@ -102,8 +102,6 @@ def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(town, many, pai
         4: "weight gps must be",
     }.items():
         assert (batch[k], words in rows["message"][k]) == (None, True)
-    with pytest.raises(ju.InputError, match="query 1: start is inside an obstacle"):
-        many(table[:2], strict=True)
     assert many(table[:2], snap=True)[1].snap_distance_m[0] > 0
 
 
@@ -251,7 +249,7 @@ def test_a_file_with_other_results_is_left_alone(many, pairs, tmp_path):
         many(pairs, file=file)
 
 
-def test_a_crash_is_a_row_and_strict_raises_it(many, pairs, monkeypatch):
+def test_a_crash_is_a_row(many, pairs, monkeypatch):
     def crash_one(problems, **options):
         for index, path in solve_many(problems, **options):
             yield index, ZeroDivisionError("by a bug") if index == 1 else path
@@ -261,8 +259,6 @@ def test_a_crash_is_a_row_and_strict_raises_it(many, pairs, monkeypatch):
     assert batch[1] is None
     assert batch.to_dataframe()["message"][1] == "ZeroDivisionError: by a bug"
     assert all(path.status is Status.OPTIMAL for k, path in enumerate(batch) if k != 1)
-    with pytest.raises(ZeroDivisionError):
-        many(pairs, strict=True)
 
 
 def test_the_file_is_rewritten_on_the_way(many, pairs, monkeypatch, tmp_path):

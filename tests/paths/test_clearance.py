@@ -316,11 +316,11 @@ def test_no_path_names_constraints_among_what_may_join():
     ]
     assert "Constraints were on (clearance of 6 m, vertical clearance of 3 m)" in message
     assert (
-        "not joined at a greater altitude of these maps. Looser constraints or finer maps may join them"
+        "not joined at a greater altitude of these maps. Looser constraints, finer maps or known heights may join them"
         in message
     )
     between = plan_volume(walled, **ends, constraints=constraints).to_dict()["message"]
-    assert "Looser constraints or finer maps may join them" in between
+    assert "Looser constraints, finer maps or known heights may join them" in between
     assert ju.plan(walled, **ends, altitude_m=ALTITUDE_M).status is Status.OPTIMAL
 
 

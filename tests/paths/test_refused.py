@@ -135,7 +135,7 @@ REFUSED = [
     (lambda s: s.levels(climb_cost=-1.0), "climb_cost"),
     (lambda s: s.levels(descent_cost=NAN), "descent_cost"),
     (lambda s: s.levels(heuristic="plsu"), "did you mean 'plus'"),
-    (lambda s: s.levels(planner="ptp"), "does not fly in a volume"),
+    (lambda s: s.levels(planner="ptp"), "planner in a volume must be 'astar-volume'"),
     (lambda s: s.levels(refine=True), "leave it out"),
     # many at once
     (

@@ -110,7 +110,7 @@ REFUSED = {
     ),
     "a planner's name": (
         lambda: find_planner("astar-pluss"),
-        "unknown planner .* .did you mean 'astar-plus'",
+        "planner on one altitude must be .* .did you mean 'astar-plus'",
     ),
     "a heuristic's name": (
         lambda: find_planner("astar-dist", "octil"),
@@ -193,7 +193,10 @@ REFUSED = {
         lambda: solve_many([], num_threads=0),
         "num_threads must be a whole number from 1 up",
     ),
-    "many by an unknown planner": (lambda: solve_many([], planner="dijkstra"), "unknown planner"),
+    "many by an unknown planner": (
+        lambda: solve_many([], planner="dijkstra"),
+        "planner on one altitude must be",
+    ),
     "many without an end": (
         lambda: solve_many([wall()], planner="bitstar-plus", backend="jax"),
         "nothing else ends",

@@ -24,10 +24,10 @@ from jaxurban.maps.run import run_scenario
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.paths.closed import CAUSES, causes_at
+from jaxurban.paths.route_report import short
 from jaxurban.receivers.figures import short_name
 from jaxurban.viewer.html import part
 from jaxurban.viewer.layers import layers_of, legend_of
-from jaxurban.viewer.markup import number
 from jaxurban.viewer.outlines import STEP_M
 from jaxurban.viewer.requests import Request
 from jaxurban.viewer.viewer import Viewer
@@ -279,8 +279,8 @@ def test_a_report_has_the_time_the_energy_and_the_vehicle_as_the_command_and_fil
     assert code == 0, err
     report = json.loads(out)["report"]
     for words in (
-        f"<td>time s</td><td>{number(report['time_s'])}</td>",
-        f"<td>energy wh</td><td>{number(report['energy_wh'])}</td>",
+        f"<td>time s</td><td>{short(report['time_s'])}</td>",
+        f"<td>energy wh</td><td>{short(report['energy_wh'])}</td>",
     ):
         assert words in totals
     assert shown["xy_m"] == answer(viewer, "plan", **QUERY)["xy_m"]
@@ -436,14 +436,14 @@ def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(v
     planned = on.plan(*ENDS)
     assert planned.cost == route["cost"]
     mission = ju.simplify(planned, on, MAPS.grid.resolution_m / 2)
-    prices = f"cost {number(mission.cost)}, {mission.cost / route['cost'] - 1:+.1%}"
+    prices = f"cost {short(mission.cost)}, {mission.cost / route['cost'] - 1:+.1%}"
     least_m = ju.explain(mission, MAPS).totals["nearest_wall_m"]
     least, route_m = (
-        f"least clearance {number(least_m)} m",
+        f"least clearance {short(least_m)} m",
         ju.explain(planned, MAPS).totals["nearest_wall_m"],
     )
     if least_m < route_m - 0.01:
-        least = f"{least}, the route {number(route_m)} m"
+        least = f"{least}, the route {short(route_m)} m"
     assert found["saved"] == f"{len(places)} waypoints, {prices}, {least}"
 
 
