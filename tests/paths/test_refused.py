@@ -272,7 +272,7 @@ def test_too_little_memory_is_told_before_it_runs_out(scene, monkeypatch):
         ),
         ("plan", ("--no-fly", "none.kml"), ("none.kml", "does not exist")),
         ("plan", ("--volume", "climb=1"), ("climb_cost",)),
-        ("plan", ("--volume", "--planner", "ptp"), ("choose one of astar-volume",)),
+        ("plan", ("--volume", "--planner", "ptp"), ("must be 'astar-volume'",)),
         ("plan", ("--profile", "p.jpg"), ("end its name in .png",)),
         ("plan", ("--profile", "none/p.png"), ("folder that is there",)),
         ("plan", ("--simplify", -1), ("tolerance_m must be a positive number of metres",)),

@@ -267,9 +267,7 @@ def test_outlines_and_skies_are_of_moved_files_where_their_folder_is_named(
         page.unlink()
 
 
-def test_a_report_has_the_time_the_energy_and_the_vehicle_as_the_command_and_files_do(
-    viewer, capsys
-):
+def test_a_report_has_the_time_and_the_energy_as_the_command_and_files_do(viewer, capsys):
     before = answer(viewer, "report", **QUERY)["totals"]
     assert "time s" not in before
     query = QUERY | {"speed_m_s": 12.5, "power_w": 300.0}
