@@ -522,10 +522,10 @@ def _path_table(planned: "PlannedPath") -> str:
     """Return the facts of a path, a line each, its costs, exposures and means by layer, and last its message."""
     import pandas as pd
 
-    rows = planned.facts
+    rows = planned.facts | {"mean metrics": "", "message": ""}  # these follow
     if 0 < planned.search.gap < inf:
         rows["above the best"] = f"at most {planned.search.gap:.2%}"
-    lines = [f"{name:<{NAME_WIDTH}}{fact}" for name, fact in rows.items() if name != "message"]
+    lines = [f"{name:<{NAME_WIDTH}}{fact}" for name, fact in rows.items() if fact]
     by_layer = pd.DataFrame(
         {
             "cost": planned.cost_by_layer,
