@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from jaxurban.checks import at_least
+from jaxurban.checks import at_least, positive
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.search.heap import EXHAUSTED, FULL, Heap
@@ -30,7 +30,6 @@ from jaxurban.planners.compiled_first import compiled_first
 
 CHUNK = 20_000  # queue entries between two looks at the clock: some 20 ms
 FIRST_QUEUE = 4096  # entries; doubled when full
-ETA = 1.1  # factor of the radius: above 1 paths come ever nearer to the optimum
 MOST_IN_A_BATCH = 100_000  # samples, so that the clock is looked at between them
 
 
@@ -41,7 +40,10 @@ class BitStarOptions:
     Attributes:
       batch_samples: samples of a batch, at least.
       growth: samples of a batch per sample in use, at least; up to 100,000. 0 keeps batches even.
+      eta: factor of the radius, > 1 for paths that come ever nearer to the optimum.
       max_batches: end after so many.
+      target_cost: end with a path this cheap.
+      min_improvement: end with the first batch that improves a path by a smaller share of its cost.
       on_batch: called with the `Batches` when one ends, to draw or record it; its time counts towards the budget.
 
     Raises:
@@ -50,12 +52,19 @@ class BitStarOptions:
 
     batch_samples: int = 100
     growth: float = 1.0
+    eta: float = 1.1
     max_batches: int | None = None
+    target_cost: float = 0.0
+    min_improvement: float = 0.0
     on_batch: "Callable[[Batches], None] | None" = None
 
     def __post_init__(self) -> None:
         """Check all numbers, and raise InputError for one out of its range."""
         at_least("batch_samples", self.batch_samples, 1)
+        positive("eta", self.eta)
+        for name in ("growth", "target_cost", "min_improvement"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"{name} must be a number >= 0, got {getattr(self, name)}")
         if self.max_batches is not None:
             at_least("max_batches", self.max_batches)
 
@@ -143,14 +152,17 @@ class Batches:
         Args:
           most_nodes: limit of the tree's nodes in the next batch, samples included.
         """
+        last_cost = self.cost
         self.cost = min(self.cost, self.tree.path_cost(self.tree.path()))
         self.history.append((time.perf_counter() - self.begin_s, self._num_drawn, self.cost))
         if self.options.on_batch is not None:
             self.options.on_batch(self)
 
-        # End where no path can be cheaper.
+        # End where the cost is good enough, or fell by too little.
         self.is_done = True
-        if self.cost <= self.bounds.from_start_to_goal() * SAME_COST:
+        if self.cost <= max(self.bounds.from_start_to_goal() * SAME_COST, self.options.target_cost):
+            return
+        if last_cost < np.inf and last_cost - self.cost < self.options.min_improvement * last_cost:
             return
 
         # Leave out what cannot lead to a cheaper path, and end where a limit is reached.
@@ -165,7 +177,7 @@ class Batches:
         self.samples = self._informed.sample(num_wanted, self._rng)
         self._num_drawn += len(self.samples)
         self.tree = self.tree.with_samples(self.samples, self.bounds)
-        self.radius = graph_radius(len(self.tree.xy), self._informed.measure, ETA)
+        self.radius = graph_radius(len(self.tree.xy), self._informed.measure, self.options.eta)
         self.is_done = not len(self.samples)
 
     def _num_wanted(self, most_nodes: float) -> int:
@@ -229,9 +241,9 @@ def bitstar(
     batches or samples a run repeats exactly for its seed; the budget and Ctrl-C are heeded within some
     20 ms of search, and between batches.
 
-    The status is OPTIMAL where the cost meets the lower bound, and NO_PATH where obstacles separate start and
-    goal. Of ``diagonal`` only ``"always"`` plays a part: then a path may pass between two obstacles that touch at a
-    corner.
+    The status is OPTIMAL where the cost meets the lower bound, NO_PATH where obstacles separate start and
+    goal, FEASIBLE where ``target_cost`` or ``min_improvement`` ended the search. Of ``diagonal`` only
+    ``"always"`` plays a part: then a path may pass between two obstacles that touch at a corner.
     ``connectivity`` plays none. Under the ``cell`` model a step of any length costs one cell, so that
     A*'s diagonals, of 1.41 cell sides, are cheaper than any longer edge, which costs every cell
     side: to compare planners use ``line``.

@@ -165,15 +165,25 @@ def test_a_corner_that_no_sample_can_hit_leaves_the_budget_empty():
     assert (path.status, path.cost) == (Status.BUDGET_EMPTY, np.inf)
 
 
-def test_the_search_ends_on_batches():
+def test_the_search_ends_on_batches_cost_and_small_improvement():
     problem = walled_problem(4, "line")
 
-    options = BitStarOptions(batch_samples=50, max_batches=5)
-    batches = bitstar(problem, budget_s=np.inf, options=options, seed=1)
+    def run(max_samples=None, **options):
+        options = BitStarOptions(batch_samples=50, **options)
+        return bitstar(problem, budget_s=np.inf, max_samples=max_samples, options=options, seed=1)
+
+    long = run(max_samples=20_000)
+    batches = run(max_batches=5)
     assert (len(batches.history), batches.status) == (
         6,
         Status.BUDGET_FEASIBLE,
     )  # the straight segment's among them
+    good = run(max_samples=20_000, target_cost=1.1 * long.cost)
+    assert good.history[-1][2] <= 1.1 * long.cost < good.history[-2][2]
+    settled = run(max_samples=20_000, min_improvement=0.02)
+    assert good.status is settled.status is Status.FEASIBLE
+    assert settled.history[-1][2] > 0.98 * settled.history[-2][2]
+    assert long.cost <= settled.cost
 
 
 @pytest.mark.slow

@@ -193,6 +193,15 @@ REFUSED = {
         lambda: solve_many([], num_threads=0),
         "num_threads must be a whole number from 1 up",
     ),
+    "no radius": (lambda: bit_star(eta=np.nan), "eta must be a positive number, got nan"),
+    "batches that shrink": (
+        lambda: bit_star(growth=-0.5),
+        "growth must be a number >= 0, got -0.5",
+    ),
+    "a gain below 0": (
+        lambda: bit_star(min_improvement=-1),
+        "min_improvement must be a number >= 0, got -1",
+    ),
     "many by an unknown planner": (
         lambda: solve_many([], planner="dijkstra"),
         "planner on one altitude must be",
