@@ -717,7 +717,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "factors": (0.5, 2.0),
         "wrong": 30.0,
         "num_samples": 4,
-        "objectives": ("distance", "lidar"),
         "tolerance": 0.5,
         "max_plans": 1,
         "num_heights": 1,

@@ -15,14 +15,14 @@ from jaxurban.draw.metrics import plot_metric
 from jaxurban.draw.write import bullets, code, fill, plain, table
 from jaxurban.draw.write import write_picture as write
 from jaxurban.errors import InputError
-from jaxurban.flights.report import check_markdown
+from jaxurban.flights.report import check_report
 from jaxurban.io.files import write_json
 from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.metrics.custom import Layer
 from jaxurban.paths.route_report import short
 from jaxurban.public import Caution
-from jaxurban.studies.reports.map_comparison import comparison_markdown
-from jaxurban.studies.reports.sensitivity import sensitivity_markdown
+from jaxurban.studies.reports.map_comparison import comparison_report
+from jaxurban.studies.reports.sensitivity import sensitivity_report
 from jaxurban.viewer.html import write_page
 from jaxurban.viewer.sky import sky_html
 from jaxurban.viewer.viewer import Viewer
@@ -155,6 +155,7 @@ def test_no_text_of_maps_is_markup_in_a_report(maps, tmp_path):
     comparison = ju.studies.compare(maps, maps, progress=False)
     comparison = replace(
         comparison,
+        table=comparison.table.replace({"layer": {"risk": f"layer {HTML}"}}).assign(higher=1),
         names=(HOSTILE, HOSTILE),
         left_out={HOSTILE: HOSTILE},
         settings={HOSTILE: (HOSTILE, HOSTILE)},
@@ -174,9 +175,9 @@ def test_no_text_of_maps_is_markup_in_a_report(maps, tmp_path):
     judged = ju.check(maps, file, heights="ground")
     judged = replace(judged, not_judged=(HOSTILE,))
     texts = [
-        comparison_markdown(comparison, ["risk", f"layer {HTML}"]),
-        sensitivity_markdown(changed, {}),
-        check_markdown(judged, []),
+        comparison_report(comparison).text,
+        sensitivity_report(changed).text,
+        check_report(judged).text,
     ]
     for text in texts:
         check_markdown_harmless(text)
@@ -184,14 +185,8 @@ def test_no_text_of_maps_is_markup_in_a_report(maps, tmp_path):
 
 
 def test_what_a_template_is_filled_with_is_text_unless_it_is_markdown():
-    unit = SimpleNamespace(altitude_m=20.0, cost_model=SimpleNamespace(kind=HTML))
-    text = fill(
-        "studies/templates/use_weights",
-        credits=[HOSTILE],
-        unit=unit,
-        command=HOSTILE,
-        where=HOSTILE,
-    )
+    fit = SimpleNamespace(num_tested=HTML)
+    text = fill("studies/templates/held_out", credits=[HOSTILE], num=HOSTILE, fit=fit)
     check_markdown_harmless(text)
     assert plain(text) == text
     for part in (table([HOSTILE], [[HOSTILE]]), bullets([HOSTILE]), code(HOSTILE), plain(HOSTILE)):

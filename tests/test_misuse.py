@@ -263,7 +263,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ),
     (
         RIGHT,
-        "SensitivitySettings.vary SensitivitySettings.objectives open_maps.obstacles",
+        "SensitivitySettings.vary open_maps.obstacles",
     ),
     (
         RIGHT,

@@ -40,8 +40,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.search import PathSearch
-from jaxurban.planners.registry import find_planner
-from jaxurban.studies.montecarlo.trial import draws_samples
+from jaxurban.planners.registry import SAMPLING_PLANNERS, find_planner
 from jaxurban.world.grid import Grid
 
 DAY_UP_TO_M = 60.0  # the paper draws day at 20 and 60 m, night above
@@ -111,7 +110,7 @@ def plan_case(shared: CostMap, case: Case) -> list[PlannedPath]:
     problem = shared.problem.between(ends[0].cell, ends[1].cell)
     paths = []
     for planner in PAPER_PLANNERS:
-        limits = {"max_samples": NUM_SAMPLES} if draws_samples(planner) else {}
+        limits = {"max_samples": NUM_SAMPLES} if planner in SAMPLING_PLANNERS else {}
         found = find_planner(planner)(problem, budget_s=math.inf, seed=0, **limits)
         paths.append(finish(shared, found, ends, PathSearch.of(planner=planner, budget_s=math.inf)))
     return paths

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from string import Formatter
@@ -26,7 +27,6 @@ NUM_COLOURS = 256  # of a PNG
 # A text, a table, or what draws a picture or writes a map.
 Output = str | pd.DataFrame | Callable[..., Any]
 Outputs = dict[str, Output]  # by file name
-Written = tuple[Outputs, dict[str, Any]]  # what a result writes, and the facts that identify it
 Figures = dict[str, Callable[[], Figure]]  # functions that draw pictures, by the pictures' names
 Look = dict[str, Any]  # keywords of Matplotlib for the look of what is drawn
 # What a text of a file would do in Markdown, and what it becomes: HTML, columns, code, and links and pictures.
@@ -74,17 +74,37 @@ def files_of(names: Iterable[str]) -> list[str]:
     ]
 
 
-def study_outputs(report: str, tables: Mapping[str, pd.DataFrame], figures: Figures) -> Outputs:
-    """Return the outputs of a study by file name: ``tables/NAME``, ``figures/NAME.png``, and last ``report.md``.
+@dataclass(frozen=True)
+class ResultReport:
+    """What a result writes: ``tables/NAME``, ``figures/NAME.png``, and last ``report.md``.
 
-    Args:
-      report: text of ``report.md``.
+    Attributes:
+      template: of ``report.md``, as in `fill`.
+      fields: what fills it, as `fill` takes it.
       tables: by name; one whose name has no end is written in each format.
       figures: functions that draw the pictures, by name.
+      others: further outputs, by file name.
+      key: facts that identify the result; a folder with the result of other facts is not replaced unasked.
     """
-    shown = {f"tables/{name}": frame for name, frame in tables.items()}
-    drawn = {f"figures/{name}.png": draw for name, draw in figures.items()}
-    return {**shown, **drawn, REPORT_FILE: report}
+
+    template: str
+    fields: Mapping[str, Any]
+    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    figures: Figures = field(default_factory=dict)
+    others: Outputs = field(default_factory=dict)
+    key: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def text(self) -> Markdown:
+        """The text of ``report.md``."""
+        return fill(self.template, figures=self.figures, **self.fields)
+
+    @property
+    def outputs(self) -> Outputs:
+        """What is written, by file name."""
+        tables = {f"tables/{name}": table for name, table in self.tables.items()}
+        figures = {f"figures/{name}.png": draw for name, draw in self.figures.items()}
+        return {**self.others, **tables, **figures, REPORT_FILE: self.text}
 
 
 def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
@@ -141,7 +161,7 @@ def write_picture(figure: Figure, file: str | Path, suffix: str = "", dpi: float
 def fill(
     template: str,
     tables: Mapping[str, pd.DataFrame] | None = None,
-    figures: Iterable[str] | None = None,
+    figures: Iterable[str] = (),
     credits: Iterable[str] = (),
     **fields: Any,
 ) -> Markdown:
@@ -154,7 +174,6 @@ def fill(
       tables: what ``{tables[NAME]}`` stands for; a section (from one ## to the next) with a table that is not among
         these, or has no row, is left out.
       figures: names of the pictures that are drawn; the lines of other pictures ``figures/NAME.png`` are left out.
-        None: no line is left out.
       credits: of the data behind the report; named at its end, each once.
       fields: all other fields.
     """
@@ -167,10 +186,9 @@ def fill(
         return texts.keys() >= set(re.findall(r"\{tables\[(\w+)\]\}", section))
 
     text = "\n".join(filter(is_shown, re.split(r"\n(?=## )", text)))
-    if figures is not None:
-        names = "|".join(map(re.escape, figures)) or "-"  # no picture has the name -
-        of_others = rf"^!\[[^\n]*\]\(figures/(?!({names})\.png\))[^\n]*$"
-        text = re.sub(of_others, "", text, flags=re.MULTILINE)
+    names = "|".join(map(re.escape, figures)) or "-"  # no picture has the name -
+    of_others = rf"^!\[[^\n]*\]\(figures/(?!({names})\.png\))[^\n]*$"
+    text = re.sub(of_others, "", text, flags=re.MULTILINE)
 
     # Fill the fields, close the gaps that empty ones leave, and name the credits.
     text = _Harmless().format(text.strip(), tables=texts, **fields)

@@ -77,7 +77,7 @@ class MissionCheck(Result):
     """
 
     _command = "check"
-    _report = "jaxurban.flights.report:check_outputs"
+    _report = "jaxurban.flights.report:check_report"
 
     findings: pd.DataFrame
     not_judged: list[str]

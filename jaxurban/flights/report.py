@@ -18,16 +18,7 @@ from jaxurban.draw import frame
 from jaxurban.draw.metrics import roof_layers
 from jaxurban.draw.profile import ALTITUDE_COLOUR
 from jaxurban.draw.style import chart, dress, label_apart, legend_above, styled
-from jaxurban.draw.write import (
-    Figures,
-    Look,
-    Markdown,
-    Written,
-    bullets,
-    fill,
-    plain,
-    study_outputs,
-)
+from jaxurban.draw.write import Figures, Look, Markdown, ResultReport, bullets, plain
 from jaxurban.flights.check_result import MissionCheck
 from jaxurban.knowledge import names_of
 from jaxurban.metrics.variables import BUILT_COLOUR
@@ -54,8 +45,8 @@ GAP_M = 10.0  # between steps, which are shorter: nothing is drawn there
 HEIGHT_IN = 3.4
 
 
-def check_outputs(result: MissionCheck) -> Written:
-    """Return what a check writes, by file name, and the record that identifies it.
+def check_report(result: MissionCheck) -> ResultReport:
+    """Return what a check writes.
 
     A mission without a step over the maps has no figures.
     """
@@ -63,32 +54,28 @@ def check_outputs(result: MissionCheck) -> Written:
     if len(result.flight.steps.leg):
         figures["map"] = partial(plot_mission, result)
         figures["profile"] = partial(plot_flown_heights, result)
-    report = check_markdown(result, list(figures))
-    record = result.to_dict()
-    tables = {"findings": result.findings, "return_altitudes": result.return_altitudes}
-    return {
-        "findings.geojson": json.dumps(result.to_geojson(), indent=1),
-        "check.json": json.dumps(record, indent=1),
-        **study_outputs(report, tables, figures),
-    }, record
-
-
-def check_markdown(result: MissionCheck, figures: list[str]) -> str:
-    """Return the report as Markdown; ``figures`` are the names of the pictures that lie beside it."""
     findings = [f"{number}. {plain(text)}" for number, text in enumerate(result.sentences, 1)]
-    return fill(
+    record = result.to_dict()
+    return ResultReport(
         "flights/templates/check",
-        {},
-        figures,
-        [result.maps.attribution],
-        result=result,
-        findings=Markdown("\n".join(findings) or "None."),
-        not_judged=bullets(result.not_judged) or "All of it was judged.",
-        numbers=bullets(f"{name}: {fact}" for name, fact in result.numbers.items()),
-        note=result.figures.get("cost_note", ""),
-        returns=bullets(result.return_lines) or "No item, or no home, to return from.",
-        limits=describe_constraints(result.limits) or "none",
-        guesses=names_of(result.maps.guesses) or "nothing",
+        {
+            "credits": [result.maps.attribution],
+            "result": result,
+            "findings": Markdown("\n".join(findings) or "None."),
+            "not_judged": bullets(result.not_judged) or "All of it was judged.",
+            "numbers": bullets(f"{name}: {fact}" for name, fact in result.numbers.items()),
+            "note": result.figures.get("cost_note", ""),
+            "returns": bullets(result.return_lines) or "No item, or no home, to return from.",
+            "limits": describe_constraints(result.limits) or "none",
+            "guesses": names_of(result.maps.guesses) or "nothing",
+        },
+        tables={"findings": result.findings, "return_altitudes": result.return_altitudes},
+        figures=figures,
+        others={
+            "findings.geojson": json.dumps(result.to_geojson(), indent=1),
+            "check.json": json.dumps(record, indent=1),
+        },
+        key=record,
     )
 
 

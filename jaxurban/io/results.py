@@ -14,8 +14,8 @@ class Result(FactsRepr):
 
     Attributes:
       _command: that writes such results; a folder of one of another command is not replaced.
-      _report: ``module:function``, which is imported when a result is saved, as it draws. The function returns what is
-        written of a result (`jaxurban.draw.write.Written`).
+      _report: ``module:function``, which is imported when a result is saved, as it draws. The function returns the
+        `jaxurban.draw.write.ResultReport` of a result.
     """
 
     _command: ClassVar[str]
@@ -34,7 +34,8 @@ class Result(FactsRepr):
         """
         folder = Path(folder)
         write = resolve_name("jaxurban.draw.write")
-        outputs, settings = resolve_name(self._report)(self)
+        report = resolve_name(self._report)(self)
+        outputs = report.outputs
         names = write.files_of(outputs)
-        with Workspace.open(folder, self._command, settings, names=names, overwrite=overwrite):
+        with Workspace.open(folder, self._command, report.key, names=names, overwrite=overwrite):
             return write.save(folder, outputs)

@@ -218,27 +218,26 @@ def _without_equal(values: pd.DataFrame) -> tuple[pd.DataFrame, tuple[tuple[str,
     return merged[order], tuple(tuple(each) for each in groups.values() if len(each) > 1)
 
 
-def edge_band(maps: MetricMaps, cells: int = EDGE_CELLS) -> np.ndarray:
-    """Return ``[Y, X]`` bool: the cells that so few cells part from the border of the maps or of their data."""
+def edge_band(maps: MetricMaps) -> np.ndarray:
+    """Return ``[Y, X]`` bool: the cells within `EDGE_CELLS` of the border of the maps or of their data."""
     has_data = maps.ds["has_data"].values
-    return ~ndimage.minimum_filter(has_data, 2 * cells + 1, mode="constant", cval=False)
+    return ~ndimage.minimum_filter(has_data, 2 * EDGE_CELLS + 1, mode="constant", cval=False)
 
 
-def is_at_edge(points_m: np.ndarray, grid: Grid, band: np.ndarray, cells: int = EDGE_CELLS) -> bool:
+def is_at_edge(points_m: np.ndarray, grid: Grid, band: np.ndarray) -> bool:
     """Return whether a route comes into the band along the border, further from its ends than twice the band's width.
 
     Args:
       points_m: ``[N, 2]`` the route, metres from the map's southwest corner.
       grid: of the maps.
       band: from `edge_band`.
-      cells: width of the band.
     """
     # Places along the route, half a cell apart at most, without those near its ends.
     line = shapely.segmentize(shapely.LineString(points_m), grid.resolution_m / 2)
     places_m = shapely.get_coordinates(line)
     ends_m = np.asarray(points_m)[[0, -1]]
     away_m = np.linalg.norm(places_m[:, None] - ends_m, axis=-1).min(axis=1)
-    x_m, y_m = (places_m[away_m > 2 * cells * grid.resolution_m] + grid.bounds_m[:2]).T
+    x_m, y_m = (places_m[away_m > 2 * EDGE_CELLS * grid.resolution_m] + grid.bounds_m[:2]).T
     rows, cols = grid.cell_of_xy(x_m, y_m)
     return bool(band[rows, cols].any())
 
@@ -252,15 +251,12 @@ def wider_bounds(grid: Grid) -> str:
     return str(grid.lonlat_at(corners_m).ravel().round(4).tolist())
 
 
-def border_verdict(
-    is_pinned: np.ndarray, noun: str = "routes", cells: int = EDGE_CELLS
-) -> list[Verdict]:
+def border_verdict(is_pinned: np.ndarray, noun: str = "routes") -> list[Verdict]:
     """Return how many routes the border may have decided; nothing where none comes near it.
 
     Args:
       is_pinned: ``[N]`` bool, of each route (`is_at_edge`).
       noun: what they are.
-      cells: width of the band.
     """
     count = int(np.sum(is_pinned))
     if not count:
@@ -268,5 +264,5 @@ def border_verdict(
     n = len(is_pinned)
     which = f"{count:,} of {n:,} {noun}" if n > 1 else f"the {singular(noun)}"
     which += " comes" if count == 1 else " come"
-    facts = {"which": which, "count": count, "cells": cells}
+    facts = {"which": which, "count": count, "cells": EDGE_CELLS}
     return [Verdict(SharedVerdict.BORDER, n=n, noun=noun, needed=math.nan, facts=facts)]

@@ -81,7 +81,7 @@ class MapComparison(Result):
     """
 
     _command = "compare"
-    _report = "jaxurban.studies.reports.map_comparison:comparison_outputs"
+    _report = "jaxurban.studies.reports.map_comparison:comparison_report"
 
     names: tuple[str, str]
     a: MetricMaps

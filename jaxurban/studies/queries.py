@@ -75,35 +75,9 @@ class RouteQuery:
         return np.stack([features.phi, np.append(length_m, means * length_m)])
 
 
-def query_between(cost_map: CostMap, start: Cell, goal: Cell, name: str = "") -> RouteQuery:
-    """Return the query of a route to study between two cells.
-
-    Args:
-      cost_map: that the route lies on.
-      start, goal: cells, row and column.
-      name: of the query; empty: it has none.
-
-    Raises:
-      InputError: both ends in one cell.
-    """
-    if start == goal:
-        raise InputError(
-            "start and goal lie in one cell, so there is no route to study: set them further apart"
-        )
-    return RouteQuery(cost_map, start, goal, name)
-
-
 def maps_of(queries: Iterable[RouteQuery]) -> list[CostMap]:
     """Return the maps that queries lie on, each once."""
     return list({id(query.cost_map): query.cost_map for query in queries}.values())
-
-
-def check_flat(cost_map: CostMap) -> None:
-    """Raise InputError unless this is a cost map of one altitude, as studies of routes need."""
-    if cost_map.levels is not None:
-        raise InputError(
-            "a study of routes needs one altitude, not Levels: give cost_map(maps, 60.0)"
-        )
 
 
 @typed
@@ -130,7 +104,10 @@ def make_queries(
       >>> [(query.name, query.start, query.goal) for query in queries]
       [('1', (2, 2), (27, 27)), ('2', (27, 27), (2, 2))]
     """
-    check_flat(cost_map)  # one altitude
+    if cost_map.levels is not None:
+        raise InputError(
+            "a study of routes needs one altitude, not Levels: give cost_map(maps, 60.0)"
+        )
     queries = []
     for number, pair in enumerate(pairs, start=1):
         try:

@@ -24,7 +24,6 @@ from jaxtyping import Array, Float
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import RowStore, fingerprint
-from jaxurban.metrics.weights import AnyArray
 from jaxurban.progress import Progress
 from jaxurban.studies.queries import RouteQuery, maps_of
 
@@ -226,24 +225,6 @@ def draw_pairs(seed: int, num_noise: int, num_weights: int) -> np.ndarray:
     return np.concatenate([half, -half])
 
 
-def mean_and_slope(
-    sums: AnyArray, drawn: AnyArray, noise: float | AnyArray
-) -> tuple[AnyArray, AnyArray]:
-    """Return the mean ``[Q, J]`` of the sums of routes under W exp(noise Z), and its derivative by log W ``[Q, J, K]``.
-
-    The derivative is the Monte Carlo estimate of the derivative of the expectation, with the mean as baseline. It is
-    **not** the derivative of the returned mean, which has none. Its error falls with the square root of ``M``.
-
-    Args:
-      sums: ``[Q, M, J]`` what the routes under each Z add up; NumPy or JAX.
-      drawn: ``[M, K]`` Z, from `draw_pairs`.
-      noise: sigma, standard deviation of log weights: wider is smoother, and farther from the route under W.
-    """
-    mean = sums.mean(axis=1)
-    deviations = sums - mean[:, None]
-    return mean, deviations.swapaxes(1, 2) @ drawn / (noise * len(drawn))
-
-
 @jax.custom_jvp
 def known_route_sums(
     log_weights: Float[Array, " K"],
@@ -254,12 +235,13 @@ def known_route_sums(
     """Return the mean over noises of the sums of the cheapest known route of each query, under perturbed weights.
 
     Each noise takes a few multiplications and no search, so thousands are affordable. The function has first
-    derivatives by ``log_weights`` only, which `mean_and_slope` estimates.
+    derivatives by ``log_weights`` only, which `_known_mean_and_slope` estimates.
 
     Args:
       log_weights: log W.
       routes: J sums of each known route: its K features first, then whatever else is averaged.
-      drawn, noise: as in `mean_and_slope`.
+      drawn: ``[M, K]`` Z, from `draw_pairs`.
+      noise: sigma, standard deviation of log weights: wider is smoother, and farther from the route under W.
     """
     return _known_mean_and_slope(log_weights, routes, drawn, noise)[0]
 
@@ -272,8 +254,15 @@ def _known_route_sums_jvp(primals: Any, tangents: Any) -> Any:
 
 
 def _known_mean_and_slope(log_weights: Any, routes: Any, drawn: Any, noise: Any) -> Any:
-    """Return `mean_and_slope` of the cheapest known routes; arguments as in `known_route_sums`."""
+    """Return the mean ``[Q, J]`` of `known_route_sums`, and its derivative by log W ``[Q, J, K]``.
+
+    The derivative is the Monte Carlo estimate of the derivative of the expectation, with the mean as baseline. It is
+    **not** the derivative of the returned mean, which has none. Its error falls with the square root of ``M``.
+    """
     perturbed = jnp.exp(log_weights + noise * drawn)
     features = routes[..., : len(log_weights)]
     cheapest = jnp.argmin(jnp.einsum("mk,qrk->qmr", perturbed, features), axis=-1)
-    return mean_and_slope(jnp.take_along_axis(routes, cheapest[..., None], axis=1), drawn, noise)
+    sums = jnp.take_along_axis(routes, cheapest[..., None], axis=1)
+    mean = sums.mean(axis=1)
+    deviations = sums - mean[:, None]
+    return mean, deviations.swapaxes(1, 2) @ drawn / (noise * len(drawn))

@@ -94,13 +94,11 @@ def demonstrations(
     """
     # What every route has, and what messages call the routes.
     maps = as_maps(maps)
-    at: dict[str, Any] = {}
+    at = values_given({"altitude_m": altitude_m, "time_of_day": time_of_day})
     if altitude_m is not None:
         at["altitude_m"] = finite("altitude_m", altitude_m)
     if time is not None:
         at["time"] = iso_utc(time)
-    if time_of_day is not None:
-        at["time_of_day"] = time_of_day
     source = "the routes"
     if isinstance(routes, str | Path):
         source = repr(str(routes))

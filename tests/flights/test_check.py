@@ -15,7 +15,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 import jaxurban as ju
 from jaxurban.flights.missions.parts import GEOD, Leg, Mission, Place
-from jaxurban.flights.report import check_markdown, plot_flown_heights, plot_mission
+from jaxurban.flights.report import check_report, plot_flown_heights, plot_mission
 from jaxurban.io.city import City
 from jaxurban.io.zone import Zone
 from jaxurban.knowledge import Guess, GuessKind
@@ -622,7 +622,7 @@ def test_the_report_has_each_finding_under_its_number(open_scene, tmp_path):
         assert f"\n{number}. {sentence}\n" in report
     assert f"- no fix: {result.facts['no fix']}\n" in report
     free = checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF)
-    assert "## Findings\n\nNone.\n" in check_markdown(free, [])
+    assert "## Findings\n\nNone.\n" in check_report(free).text
 
 
 def test_a_bound_that_is_not_kept_closes_cells(open_scene):

@@ -10,7 +10,7 @@ from matplotlib.text import Text
 import jaxurban as ju
 from figures import sky
 from jaxurban.receivers.report import MARGINS_M, satellite_figures
-from jaxurban.receivers.validation.report import validation_markdown, validation_outputs
+from jaxurban.receivers.validation.report import validation_report
 from tests.benchmarks.made_evidence import made_evidence
 from tests.made_agreement import made
 
@@ -22,7 +22,7 @@ def texts_of(figure: Figure) -> str:
 
 
 def test_every_score_stands_in_the_report_with_its_interval():
-    report = validation_markdown(made())
+    report = validation_report(made()).text
     assert report.startswith("# A receiver's log, compared with the maps\n")
     assert (
         "| all judged | 342 | 0.957 | 0.842 (0.811 to 0.873) | 0.742 (0.711 to 0.773) | 6 |"
@@ -40,7 +40,7 @@ def test_what_is_unknown_is_no_number_of_the_report_and_is_drawn():
     unknown = {"auc": np.nan, "auc_low": np.nan, "auc_high": np.nan}
     rows = made().rows.assign(is_seen=True, margin_m=np.inf)
     all_seen = replace(made(), rows=rows, scores=made().scores.assign(**unknown))
-    assert "nan" not in validation_markdown(all_seen)
+    assert "nan" not in validation_report(all_seen).text
     assert "there is nothing to compare" in all_seen.facts["not decided"]
     for draw in satellite_figures(all_seen).values():
         assert draw().axes
@@ -48,14 +48,14 @@ def test_what_is_unknown_is_no_number_of_the_report_and_is_drawn():
 
 def test_rays_that_count_everywhere_and_a_short_track_are_named():
     everywhere = replace(made(), settings=ju.studies.ReceiverSettings(known="all"))
-    assert "11 rows are judged as if nothing stood beyond" in validation_markdown(everywhere)
+    assert "11 rows are judged as if nothing stood beyond" in validation_report(everywhere).text
     short = replace(made(), summary=made().summary | {"num_blocks": 7})
-    assert "7 blocks of 50 m, and an interval takes 8" in validation_markdown(short)
-    assert "an interval takes 8" not in validation_markdown(made())
+    assert "7 blocks of 50 m, and an interval takes 8" in validation_report(short).text
+    assert "an interval takes 8" not in validation_report(made()).text
 
 
 def test_the_table_of_satellites_says_when_and_where_each_is_seen_and_how_strongly_it_is_heard():
-    table = validation_outputs(made())[0]["tables/satellites.parquet"]
+    table = validation_report(made()).tables["satellites.parquet"]
     assert list(table)[:7] == [
         "utc",
         "lon_deg",
@@ -72,11 +72,11 @@ def test_the_table_of_satellites_says_when_and_where_each_is_seen_and_how_strong
 def test_two_logs_of_the_same_epochs_are_different_runs():
     log = made().log
     louder = replace(log, satellites=log.satellites.assign(cn0_dbhz=41.0))
-    assert validation_outputs(made())[1] != validation_outputs(replace(made(), log=louder))[1]
+    assert validation_report(made()).key != validation_report(replace(made(), log=louder)).key
 
 
 def test_every_picture_of_the_report_is_drawn_and_every_drawn_one_is_in_it():
-    outputs, _ = validation_outputs(made())
+    outputs = validation_report(made()).outputs
     pictures = [name for name in outputs if name.endswith(".png")]
     assert sorted(pictures) == sorted(
         name for name in pictures if f"]({name})" in outputs["report.md"]

@@ -7,11 +7,7 @@ from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban.draw.style import difference_colours
-from jaxurban.studies.reports.map_comparison import (
-    comparison_markdown,
-    comparison_outputs,
-    plot_difference,
-)
+from jaxurban.studies.reports.map_comparison import comparison_report, plot_difference
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.studies.test_map_comparison import changed_from
@@ -27,7 +23,7 @@ def found():
 
 
 def figures_of(result) -> list[str]:
-    return [name for name in comparison_outputs(result)[0] if name.startswith("figures/")]
+    return [f"figures/{name}.png" for name in comparison_report(result).figures]
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +93,7 @@ def test_the_command_compares_folders_and_names_the_settings_that_differ(
 
 def test_a_report_of_the_same_maps_says_why_it_shows_no_picture(found):
     same = ju.studies.compare(found.a, found.a, progress=False)
-    assert "## Figures\n\nNone: no layer differs." in comparison_markdown(same, [])
+    assert "## Figures\n\nNone: no layer differs." in comparison_report(same).text
 
 
 def said_in(figure) -> str:

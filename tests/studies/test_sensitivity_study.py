@@ -22,7 +22,7 @@ from jaxurban.statistics.bootstrap import Clusters
 from jaxurban.statistics.conclusions import SharedVerdict, Verdict
 from jaxurban.studies.figures.sensitivity import many_figures, plot_nearest
 from jaxurban.studies.montecarlo.sampling import sample_joined
-from jaxurban.studies.reports.sensitivity import sensitivity_markdown, shown_tables
+from jaxurban.studies.reports.sensitivity import sensitivity_report, shown_tables
 from jaxurban.studies.weights.routes import OnChangedMaps
 from jaxurban.studies.weights.sobol import sobol_indices
 from jaxurban.studies.weights.summary import MORE, small_parts, summarise, summarise_shares
@@ -197,9 +197,8 @@ def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_pop
     weight_study,
 ):
     alpha = ju.MetricMaps(weight_study.maps["alpha"].ds.assign_attrs(pop_norm_per_km2=[5e4, 3e4]))
-    report = sensitivity_markdown(
-        replace(weight_study, is_sampled=False, maps={**weight_study.maps, "alpha": alpha}), {}
-    )
+    maps = {**weight_study.maps, "alpha": alpha}
+    report = sensitivity_report(replace(weight_study, is_sampled=False, maps=maps)).text
     assert "drawn by stratum" not in report
     assert "those of the table that was given" in report
     alpha, beta = report.split("\n\n")[2].splitlines()[2:]

@@ -4,16 +4,7 @@ import hashlib
 
 import pandas as pd
 
-from jaxurban.draw.write import (
-    Written,
-    bullets,
-    fill,
-    first_lines,
-    interval,
-    study_outputs,
-    table,
-    without_ends,
-)
+from jaxurban.draw.write import ResultReport, bullets, first_lines, interval, table, without_ends
 from jaxurban.io.tracks import CN0, LAT, LON, SATELLITE, UTC
 from jaxurban.maps.levels import listed_m
 from jaxurban.receivers.report import HEADS, ROWS, satellite_figures
@@ -25,10 +16,10 @@ from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 FIRST = [UTC, LON, LAT, SATELLITE, "state", "margin_m", CN0]  # columns of the table of satellites
 
 
-def validation_outputs(result: ReceiverValidation) -> Written:
-    """Return what a validation writes, by file name, and the facts that identify it.
+def validation_report(result: ReceiverValidation) -> ResultReport:
+    """Return what a validation writes.
 
-    Among the facts is a hash of the log's rows: two logs may have one name.
+    Among its facts is a hash of the log's rows: two logs may have one name.
     """
     # The rows of the log as one text, of which the key has a hash.
     text = result.log.epochs.to_csv(index=False) + result.log.satellites.to_csv(index=False)
@@ -37,28 +28,30 @@ def validation_outputs(result: ReceiverValidation) -> Written:
     epochs = result.epochs.assign(utc=result.epochs.utc.map(lambda time: time.isoformat()))
     rows = result.rows.join(epochs[[UTC, LON, LAT]], on=EPOCH)
     others = [name for name in rows if name not in FIRST]
-    tables = {"satellites.parquet": rows[FIRST + others], "epochs": epochs, "scores": result.scores}
-    key = {
-        "log": result.log.name,
-        "rows": hashlib.sha256(text.encode()).hexdigest(),
-        "scenario": result.scenario,
-        "settings": result.settings.to_dict(),
-    }
-    figures = satellite_figures(result)
-    return study_outputs(validation_markdown(result), tables, figures), key
-
-
-def validation_markdown(result: ReceiverValidation) -> str:
-    """Return the report as Markdown."""
-    return fill(
+    cautions = (f"{caution.level}: {caution}" for caution in result.known_cautions)
+    return ResultReport(
         "receivers/templates/validate",
-        tables={"scores": score_texts(result.scores)},
-        credits=[result.attribution],
-        result=result,
-        lines=first_lines(result.decided.facts),
-        fewest=FEWEST_GROUPS,
-        facts=table(("", ""), _facts(result)),
-        cautions=bullets(f"{caution.level}: {caution}" for caution in result.known_cautions),
+        {
+            "tables": {"scores": score_texts(result.scores)},
+            "credits": [result.attribution],
+            "result": result,
+            "lines": first_lines(result.decided.facts),
+            "fewest": FEWEST_GROUPS,
+            "facts": table(("", ""), _facts(result)),
+            "cautions": bullets(cautions),
+        },
+        tables={
+            "satellites.parquet": rows[FIRST + others],
+            "epochs": epochs,
+            "scores": result.scores,
+        },
+        figures=satellite_figures(result),
+        key={
+            "log": result.log.name,
+            "rows": hashlib.sha256(text.encode()).hexdigest(),
+            "scenario": result.scenario,
+            "settings": result.settings.to_dict(),
+        },
     )
 
 

@@ -85,7 +85,7 @@ class ReceiverValidation(Result):
     """
 
     _command = "validate"
-    _report = "jaxurban.receivers.validation.report:validation_outputs"
+    _report = "jaxurban.receivers.validation.report:validation_report"
 
     log: ReceiverLog
     settings: ReceiverSettings

@@ -1,7 +1,5 @@
 """The picture of a Monte Carlo benchmark: cost."""
 
-from functools import partial
-
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -10,8 +8,6 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxurban.draw.paths import planner_colours
 from jaxurban.draw.style import panels, show_shares, step_up, styled
-from jaxurban.draw.write import Figures
-from jaxurban.studies.montecarlo.analysis import weighted_rows
 
 CURVES_APART_PT = 1.5
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
@@ -49,15 +45,3 @@ def plot_costs(table: pd.DataFrame) -> Figure:
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
     show_shares(figure, axes, "joined pairs solved at that ratio (%)", (-0.04, 1.04))
     return figure
-
-
-def study_figures(table: pd.DataFrame) -> Figures:
-    """Return the functions that draw the pictures of a study, by name; without a joined pair that was solved, none.
-
-    Args:
-      table: a row per planner, objective, instance and altitude.
-    """
-    weighted = weighted_rows(table)
-    if weighted.has_path.any() and weighted.is_joined.any():
-        return {"costs": partial(plot_costs, weighted[weighted.is_joined])}
-    return {}

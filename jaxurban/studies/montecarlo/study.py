@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
-import numpy as np
 import pandas as pd
 
 from jaxurban import wings
@@ -14,13 +13,12 @@ from jaxurban.checks import typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.io.results import Result
 from jaxurban.io.samples import is_sample
-from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, records_of, write_table
+from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.run import scenario_grid
 from jaxurban.maps.scenario import OF_SAMPLING, Scenario, Study
 from jaxurban.paths.choices import RulesChoice
-from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
 from jaxurban.planners.cost import CostModel
 from jaxurban.progress import Progress, reporting
@@ -35,7 +33,7 @@ from jaxurban.studies.montecarlo.sampling import (
     sample_instances,
     with_connection,
 )
-from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
+from jaxurban.studies.montecarlo.trial import Benchmark, row_columns
 from jaxurban.world.land_cover import LandCover
 
 
@@ -59,7 +57,7 @@ class BenchmarkResult(Result):
     """
 
     _command = "study"
-    _report = "jaxurban.studies.reports.montecarlo:benchmark_outputs"
+    _report = "jaxurban.studies.reports.montecarlo:benchmark_report"
 
     folder: Path
     maps: MetricMaps
@@ -213,7 +211,14 @@ def _listed_instances(table: pd.DataFrame, maps: MetricMaps, job: Benchmark) -> 
     instances = checked_instances(table, "instances")
     check_instances(instances, maps)
     instances = with_connection(instances, maps, CostModel.of(job.cost_model), job.constraints)
-    _check_places(instances, maps, job.constraints)
+
+    # A single one with an end that is not free is no error: it becomes a row with the status ``bad-input``.
+    if instances.is_connected.isna().all():
+        first = instances.iloc[0]
+        raise InputError(
+            f"no instance lies on these maps: of each, as of instance {first.instance} at {first.altitude_m:g} m, the "
+            "start or the goal is not free: use the maps that they are for"
+        )
     return instances
 
 
@@ -265,34 +270,6 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
     return cover
 
 
-def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constraints) -> None:
-    """Raise InputError if there is no instance whose start and goal are both free cells.
-
-    A single instance with an end that is not free is no error: it becomes a row with the status ``bad-input``.
-
-    Args:
-      instances: with ``is_connected`` as `with_connection` sets it, None where an end is not a free cell.
-      maps, constraints: decide which cells are free.
-    """
-    if instances.is_connected.notna().any():
-        return
-
-    # The first instance shows why: one of its ends is not free, and the error of that end is named.
-    first = records_of(instances.head(1))[0]
-    altitude_m = first["altitude_m"]
-    is_free = constraints.is_free(
-        maps, altitude_m, time=first["time"], time_of_day=first["time_of_day"]
-    )
-    for end in ("start", "goal"):
-        try:
-            free_cell(maps.grid, is_free, first, end)
-        except InputError as error:
-            raise InputError(
-                f"no instance lies on these maps, from the first one on, instance {first['instance']} at "
-                f"{altitude_m:g} m, whose {end} is not free ({error}): use the maps that they are for"
-            ) from error
-
-
 def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
     """Raise InputError unless all instances of the benchmark that a folder holds are among these, unchanged.
 
@@ -318,27 +295,16 @@ def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
             f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}"
         ) from error
 
-    # None of them may be missing now.
-    now = instances.set_index(KEY)
-    lost = before.index.difference(now.index)
-    if len(lost):
-        number, altitude_m = lost[0]
-        raise InputError(
-            f"{str(folder)!r} holds a study of {len(before)} instances, counted at each altitude, of which {len(lost)} "
-            f"are left out now (instance {number} at {altitude_m:g} m is the first), and a study can be made longer "
-            f"but not shorter: {remedy}"
-        )
-
-    # None may have another value in a column that planners depend on.
+    # Each of them must still be there, with the same value in all columns that planners depend on.
     columns = query_columns(instances.columns)
     before = before.reindex(columns=columns)
-    after = now[columns].reindex(before.index)
-    is_same = (before == after) | (before.isna() & after.isna())
-    changed = np.argwhere(~is_same.to_numpy())
-    if len(changed):
-        row, col = changed[0]
-        number, altitude_m = before.index[row]
+    after = instances.set_index(KEY)[columns].reindex(before.index)
+    is_same = ((before == after) | (before.isna() & after.isna())).all(axis=1)
+    if not is_same.all():
+        first: Any = is_same.idxmin()
+        number, altitude_m = first
         raise InputError(
-            f"{str(folder)!r} holds a study of other instances (instance {number} at {altitude_m:g} m has the "
-            f"{columns[col]} {before.iloc[row, col]}, now {after.iloc[row, col]}): {remedy}"
+            f"{str(folder)!r} holds a study of {len(before)} instances, counted at each altitude, of which "
+            f"{(~is_same).sum()} are others or left out now (instance {number} at {altitude_m:g} m is the first), and "
+            f"a study can be made longer but not shorter: {remedy}"
         )

@@ -1,6 +1,5 @@
 """One instance of a Monte Carlo benchmark under each of its planners: one cost map, and a row for each planner."""
 
-import inspect
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -18,20 +17,17 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import CRASHED, RouteJob, Run, failure
 from jaxurban.planners.base import Cell, Path
 from jaxurban.planners.corners import with_corner_bound
-from jaxurban.planners.registry import EXACT_PLANNERS, PLANNERS, SAMPLING_PLANNERS, find_planner
-from jaxurban.settings import CostKind
+from jaxurban.planners.registry import EXACT_PLANNERS, SAMPLING_PLANNERS, find_planner
 from jaxurban.studies.decided import edge_band, is_at_edge
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics
-from jaxurban.world.grid import Grid
 
 WEIGHTED, DISTANCE = "weighted", "distance"
 INVALID = "invalid"  # beside the names of `Status` and what `jaxurban.paths.rows` adds
-COST_KINDS: tuple[CostKind, ...] = ("cell", "line")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Benchmark(RouteJob):
-    """Every planner of a study on every instance, under one set of rules; costs are reported under both cost models.
+    """Every planner of a study on every instance, under one set of rules.
 
     Attributes:
       study: planners and budgets.
@@ -55,25 +51,20 @@ class Benchmark(RouteJob):
         """Return the seed of sampling planners on an instance, by its number."""
         return int(np.random.SeedSequence([self.study.seed, instance]).generate_state(1)[0])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what decides a row, but for its planner, as plain, JSON-ready values."""
-        numbers = {name: getattr(self.study, name) for name in ("budget_iterations", "seed")}
-        return self.rules() | {"budget_s": float(self.study.budget_s)} | numbers
-
     def deciding(self, maps: MetricMaps) -> dict[str, Any]:
         """Return what decides a benchmark's rows on maps, by name; the names are shown where two benchmarks differ.
 
         Zones count by their outlines, whatever file holds them, and only the budget that is used counts.
         """
-        result = self.to_dict()
-        limits = result.pop("limits")
-        budget = f"{result.pop('budget_s')} s"
-        iterations = result.pop("budget_iterations")
-        if iterations is not None:
-            budget = f"{iterations} samples"
+        rules = self.rules()
+        limits = rules.pop("limits")
+        budget = f"{float(self.study.budget_s)} s"
+        if self.study.budget_iterations is not None:
+            budget = f"{self.study.budget_iterations} samples"
         outlines = [zone.get("outline", "") for zone in limits.get("no_fly", ())]
         return {
-            **result,
+            **rules,
+            "seed": self.study.seed,
             "budget": budget,
             "set of constraints": describe_constraints(limits) or "none",
             "outlines of no-fly zones": ", ".join(outlines),
@@ -121,8 +112,6 @@ class Benchmark(RouteJob):
 
 NUMBERS = (
     "cost",
-    "cost_cell",
-    "cost_line",
     "search_cost",
     "lower_bound",
     "gap",
@@ -149,40 +138,27 @@ def row_columns(instance: Iterable[Any] = ()) -> dict[str, str]:
     }
 
 
-def free_cell(grid: Grid, is_free: np.ndarray, instance: Row, end: str) -> Cell:
-    """Return the cell, row and column, of an instance's end, ``"start"`` or ``"goal"``.
-
-    Args:
-      grid: of the maps.
-      is_free: ``[Y, X]`` bool.
-      instance: with the end's place in metres in the CRS of the grid.
-      end: which of the two.
-
-    Raises:
-      InputError: it is outside the grid, or not free.
-    """
-    x_m = instance[f"{end}_x_m"]
-    y_m = instance[f"{end}_y_m"]
-    row, col = map(int, grid.cell_of_xy(x_m, y_m))
-    if not is_free[row, col]:
-        raise InputError(
-            f"the place {x_m:.1f}, {y_m:.1f} is inside an obstacle, where there are no data, or closed by a constraint"
-        )
-    return row, col
-
-
 def ends_and_weights(cost_map: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
     """Return the start, the goal (cells, row and column) and the weights ``[K]`` of an instance.
 
     Args:
       cost_map: with the free cells, and the names of the weights.
-      instance: its ends in metres, and a weight ``w_NAME`` for each name.
+      instance: its ends in metres in the CRS of the maps, and a weight ``w_NAME`` for each name.
 
     Raises:
-      InputError: an end that is not a free cell.
+      InputError: an end that is outside the maps, or no free cell.
     """
-    start = free_cell(cost_map.grid, cost_map.is_free, instance, "start")
-    goal = free_cell(cost_map.grid, cost_map.is_free, instance, "goal")
+    cells = []
+    for end in ("start", "goal"):
+        x_m, y_m = instance[f"{end}_x_m"], instance[f"{end}_y_m"]
+        row, col = map(int, cost_map.grid.cell_of_xy(x_m, y_m))
+        if not cost_map.is_free[row, col]:
+            raise InputError(
+                f"the place {x_m:.1f}, {y_m:.1f} is inside an obstacle, where there are no data, or closed by a "
+                "constraint"
+            )
+        cells.append((row, col))
+    start, goal = cells
     return start, goal, np.array([float(instance[f"w_{name}"]) for name in cost_map.weight_names])
 
 
@@ -198,14 +174,9 @@ def limited(planner: str, study: Study) -> Callable[..., Path]:
         search = find_planner(planner, backend="jax" if is_in_jax else "auto")
         return partial(search, budget_s=study.budget_s)
     search = find_planner(planner)
-    if draws_samples(planner):
+    if planner in SAMPLING_PLANNERS:
         search = partial(search, max_samples=study.budget_iterations)
     return partial(search, budget_s=math.inf)
-
-
-def draws_samples(planner: str) -> bool:
-    """Return whether a planner draws samples."""
-    return "max_samples" in inspect.signature(PLANNERS[planner].run).parameters
 
 
 def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -> dict[str, Any]:
@@ -214,14 +185,14 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
     Only a valid path has costs. A path that crosses an obstacle has the status `INVALID`, whatever its planner says.
 
     Args:
-      cost_map: of the instance; costs are counted on it, under both cost models, and not taken from the planner.
+      cost_map: of the instance; costs are counted on it, and not taken from the planner.
       result: of the planner.
       weights: ``[K]`` of the instance; a run with the objective ``"distance"`` is judged by them too.
       planner: its name.
     """
     # How the run ended; a planner that draws samples has their number in each entry of its history.
     num_samples = None
-    if draws_samples(planner) and result.history:
+    if planner in SAMPLING_PLANNERS and result.history:
         _, num_samples, _ = result.history[-1]
     facts = {
         "status": result.status.value,
@@ -237,9 +208,7 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
     if not result.status.has_path:
         return facts
 
-    # What the path adds up under each cost model; the benchmark's own decides whether it is valid.
-    features = {kind: cost_map.shortest.features(result.points_m, kind) for kind in COST_KINDS}
-    of_path = features[cost_map.cost_model.kind]
+    of_path = cost_map.shortest.features(result.points_m)
     if not of_path.is_valid:
         return facts | {
             "status": INVALID,
@@ -249,7 +218,6 @@ def _facts(cost_map: CostMap, result: Path, weights: np.ndarray, planner: str) -
     # What it costs, and how long it is beside the straight line.
     straight_m = float(np.hypot(*(result.points_m[-1] - result.points_m[0])))
     length_m = float(of_path.phi[0])
-    facts |= {f"cost_{kind}": features[kind].cost(weights) for kind in COST_KINDS}
     facts |= {f"m_{name}": m for name, m in cost_map.means(of_path).items()}
     return facts | {
         "cost": of_path.cost(weights),

@@ -17,16 +17,7 @@ from jaxurban.draw.frame import (
     time_said,
 )
 from jaxurban.draw.style import difference_colours
-from jaxurban.draw.write import (
-    Figures,
-    Markdown,
-    Written,
-    bullets,
-    fill,
-    first_lines,
-    plain,
-    study_outputs,
-)
+from jaxurban.draw.write import Markdown, ResultReport, bullets, first_lines, plain
 from jaxurban.metrics.base import TIME
 from jaxurban.studies.map_comparison import MapComparison
 
@@ -77,51 +68,45 @@ def plot_difference(result: MapComparison, layer: str) -> Figure:
     return draw_maps(result.a.grid, panels, heading, note, legend=legend, colours=colours)[0]
 
 
-def comparison_outputs(result: MapComparison) -> Written:
-    """Return what a comparison writes, by file name, and the facts that identify it.
-
-    A folder whose report has other facts is not replaced unless the user asks for it.
-    """
+def comparison_report(result: MapComparison) -> ResultReport:
+    """Return what a comparison writes."""
     table = result.table
-    routes = result.routes
     tables = {"layers": table}
+    routes = result.routes
+    of_routes = routes
     if len(routes):
         tables["routes"] = routes
-    changed = table[table.higher + table.lower > 0].layer.unique().tolist()
-    figures: Figures = {layer: partial(plot_difference, result, layer) for layer in changed}
-    key = {
-        "maps": list(result.names),
-        "routes": len(routes) // len(result.a.altitudes_m),
-        "values": crc32((table.to_csv() + routes.to_csv()).encode()),
-    }
-    return study_outputs(comparison_markdown(result, changed), tables, figures), key
-
-
-def comparison_markdown(result: MapComparison, changed: list[str]) -> str:
-    """Return the report as Markdown; ``changed`` are the layers that differ, whose pictures lie beside it."""
-    # A row for each map of the layers that differ, at the first time of those that have times.
-    values = result.table[result.table.layer.isin(changed)]
-    values = values[values.time.isna() | (values.time == values.time.min())]
-    values = values.drop(columns="time")
-    routes = result.routes
-    if len(routes):
-        routes = routes.groupby("altitude_m", as_index=False).agg(
+        of_routes = routes.groupby("altitude_m", as_index=False).agg(
             routes=("pair", "count"),
             changed=("is_changed", "sum"),
             closed=("is_closed", "sum"),
             length_m=("length_m", "mean"),
             apart_m=("apart_m", "max"),
         )
+
+    # The layers that differ, and a row for each of their maps, at the first time of those that have times.
+    changed = table[table.higher + table.lower > 0].layer.unique().tolist()
+    values = table[table.layer.isin(changed)]
+    values = values[values.time.isna() | (values.time == values.time.min())]
     settings = (f"{key}: {a} in A, {b} in B" for key, (a, b) in result.settings.items())
     pictures = (f"![{layer}, B - A](figures/{layer}.png)" for layer in map(plain, changed))
-    return fill(
+    return ResultReport(
         "studies/templates/compare",
-        {"values": values, "routes": routes},
-        credits=[result.a.attribution, result.b.attribution],
-        names=result.names,
-        facts=result.a.facts,
-        lines=first_lines(result.decided.facts),
-        settings=bullets(settings) or "None that is known.",
-        left_out=", ".join(result.left_out) or "nothing",
-        pictures=Markdown("\n\n".join(pictures)) or "None: no layer differs.",
+        {
+            "tables": {"values": values.drop(columns="time"), "routes": of_routes},
+            "credits": [result.a.attribution, result.b.attribution],
+            "names": result.names,
+            "facts": result.a.facts,
+            "lines": first_lines(result.decided.facts),
+            "settings": bullets(settings) or "None that is known.",
+            "left_out": ", ".join(result.left_out) or "nothing",
+            "pictures": Markdown("\n\n".join(pictures)) or "None: no layer differs.",
+        },
+        tables=tables,
+        figures={layer: partial(plot_difference, result, layer) for layer in changed},
+        key={
+            "maps": list(result.names),
+            "routes": len(routes) // len(result.a.altitudes_m),
+            "values": crc32((table.to_csv() + routes.to_csv()).encode()),
+        },
     )

@@ -1,18 +1,17 @@
 """report.md of a Monte Carlo benchmark of planners, with its tables and figures."""
 
-from collections.abc import Sequence
 from functools import partial
 
 import pandas as pd
 from matplotlib.figure import Figure
 
 from jaxurban.draw.paths import plot_paths
-from jaxurban.draw.write import Written, fill, first_lines, joined_with_and, study_outputs
+from jaxurban.draw.write import Figures, ResultReport, first_lines, joined_with_and
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.decided import FEWEST_RUNS
-from jaxurban.studies.figures.montecarlo import study_figures
+from jaxurban.studies.figures.montecarlo import plot_costs
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.sampling import KEY, query_columns
 from jaxurban.studies.montecarlo.study import BenchmarkResult
@@ -21,21 +20,6 @@ from jaxurban.studies.reports.sensitivity import weights_said
 # The column of each table that counts runs.
 COUNTS = {"success": "joined", "times": "runs", "objectives": "pairs"}
 NUM_DRAWN = 4  # routes of a picture
-
-
-def benchmark_outputs(result: BenchmarkResult) -> Written:
-    """Return what a benchmark writes, by file name: report, tables (CSV) and figures; and no settings.
-
-    Settings would guard a folder against other ones; here the rows alone decide what is written.
-    """
-    tables = tables_of(result)
-    figures = study_figures(result.table)
-    best = analysis.best_rows(result.table)
-    if (best.at_edge == 1).any():
-        figures["border"] = partial(border_figure, result, best[best.at_edge == 1])
-    report = report_markdown(result, tables, list(figures))
-    files = {f"{name}.csv": table for name, table in tables.items()}
-    return study_outputs(report, files, figures), {}
 
 
 def border_figure(result: BenchmarkResult, pinned: pd.DataFrame) -> Figure:
@@ -74,49 +58,50 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
     return tables
 
 
-def report_markdown(
-    result: BenchmarkResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()
-) -> str:
-    """Return the report as Markdown.
+def benchmark_report(result: BenchmarkResult) -> ResultReport:
+    """Return what a benchmark writes; no facts guard its folder, as the rows alone decide what is written."""
+    table = result.table
+    settings = result.settings
+    study = settings.study
+    figures: Figures = {}
+    weighted = analysis.weighted_rows(table)
+    if weighted.has_path.any() and weighted.is_joined.any():
+        figures["costs"] = partial(plot_costs, weighted[weighted.is_joined])
+    best = analysis.best_rows(table)
+    if (best.at_edge == 1).any():
+        figures["border"] = partial(border_figure, result, best[best.at_edge == 1])
 
-    Args:
-      result: of the study.
-      tables: from `tables_of`.
-      figures: names of the pictures that lie beside the report.
-    """
-    # What has enough runs.
+    # The report shows what has enough runs.
+    tables = tables_of(result)
     shown = dict(tables)
     for name, num in COUNTS.items():
         if len(shown[name]):
             shown[name] = shown[name].query(f"{num} >= {FEWEST_RUNS}")
 
     # The share of pairs of places that some path joins, by altitude, and the budget of a run in words.
-    table = result.table
-    settings = result.settings
-    study = settings.study
     pairs = table.drop_duplicates(["instance", "altitude_m"])
     share_joined = pairs.groupby("altitude_m").is_joined.mean()
     budget = f"{study.budget_iterations} samples, others to their end"
     if study.budget_iterations is None:
         budget = f"{study.budget_s:g} s a run"
-    return fill(
-        "studies/templates/study",
-        shown,
-        figures,
-        [result.maps.attribution],
-        num_instances=table.instance.nunique(),
-        num_runs=len(table),
-        planners=joined_with_and(sorted(table.planner.unique())),
-        grid=result.maps.grid,
-        budget=budget,
-        settings=settings,
-        maps=result.maps,
-        weights=weights_said(result.instances),
-        constraints=str(settings.constraints) or "none",
-        joined=joined_with_and(f"{share:.1%} at {z:g} m" for z, share in share_joined.items()),
-        num_crashed=(table.status == CRASHED).sum(),
-        num_odd=table.status.isin(["invalid", "bad-input"]).sum(),
-        fewest=FEWEST_GROUPS,
-        fewest_runs=FEWEST_RUNS,
-        lines=first_lines(result.decided.facts),
-    )
+    fields = {
+        "tables": shown,
+        "credits": [result.maps.attribution],
+        "num_instances": table.instance.nunique(),
+        "num_runs": len(table),
+        "planners": joined_with_and(sorted(table.planner.unique())),
+        "grid": result.maps.grid,
+        "budget": budget,
+        "settings": settings,
+        "maps": result.maps,
+        "weights": weights_said(result.instances),
+        "constraints": str(settings.constraints) or "none",
+        "joined": joined_with_and(f"{share:.1%} at {z:g} m" for z, share in share_joined.items()),
+        "num_crashed": (table.status == CRASHED).sum(),
+        "num_odd": table.status.isin(["invalid", "bad-input"]).sum(),
+        "fewest": FEWEST_GROUPS,
+        "fewest_runs": FEWEST_RUNS,
+        "lines": first_lines(result.decided.facts),
+    }
+    files = {f"{name}.csv": table for name, table in tables.items()}
+    return ResultReport("studies/templates/study", fields, files, figures)

@@ -8,17 +8,13 @@ from pathlib import Path
 import pandas as pd
 
 from jaxurban.draw.write import (
-    REPORT_FILE,
     Figures,
     Markdown,
+    ResultReport,
     bullets,
-    files_of,
-    fill,
     first_lines,
     framed,
     joined_with_and,
-    save,
-    study_outputs,
 )
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
@@ -38,26 +34,6 @@ from jaxurban.studies.weights.settings import SensitivitySettings
 from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES
 from jaxurban.studies.weights.verdicts import verdicts_of
 
-TABLES = [
-    "routes",
-    "weights",
-    "summary",
-    "sobol",
-    "sobol_summary",
-    "changed",
-    "changed_summary",
-    "ways",
-    "switches",
-    "pareto",
-]
-FIGURES = ["regret", "nearest", "switches", "switch_routes", "pareto"]
-FILES = files_of(
-    [
-        *(f"tables/{name}" for name in TABLES),
-        *(f"figures/{name}.png" for name in FIGURES),
-        REPORT_FILE,
-    ]
-)
 SAMPLED = (
     "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
     "anyone flies: means are over such routes, not over traffic."
@@ -186,41 +162,35 @@ class Sensitivity(FactsRepr):
         )
 
 
-def write_sensitivity(result: Sensitivity) -> list[Path]:
-    """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into its folder and return the files."""
+def sensitivity_report(result: Sensitivity) -> ResultReport:
+    """Return what a study of weights writes."""
+    tables = result.tables
     figures: Figures = {}
     if result.route is not None:
         figures = one_figures(result.route)
-    elif "weights" in result.tables:
-        figures = many_figures(result.tables, result.settings.wrong)
-    report = sensitivity_markdown(result, figures)
-    return save(result.folder, study_outputs(report, result.tables, figures))
-
-
-def sensitivity_markdown(result: Sensitivity, figures: Figures) -> str:
-    """Return the report as Markdown; it names figures and tables as `write_sensitivity` does."""
-    tables = result.tables
+    elif "weights" in tables:
+        figures = many_figures(tables, result.settings.wrong)
 
     # Why routes were not found: the most frequent statuses, with their notes and the number of routes.
     lost = result.rows[~result.rows.status.isin(HAS_PATH)].fillna({"note": ""})
     reasons = lost.value_counts(["status", "note"]).head(MOST_REASONS).reset_index(name="routes")
     small = summary.small_parts(tables["weights"]) if "weights" in tables else []
-    return fill(
-        "studies/templates/sensitivity",
-        {"cities": _cities(result), **shown_tables(tables)},
-        figures,
-        [maps.attribution for maps in result.maps.values()],
-        decided=first_lines(result.decided.facts),
-        lost=framed(reasons) if len(reasons) else "",
-        skipped=bullets(f"Not planned on other maps: {reason}" for reason in result.skipped),
-        route=_route_said(result.route),
-        result=result,
-        constraints=str(result.rules.constraints) or "none",
-        weights=weights_said(result.instances),
-        origin=SAMPLED if result.is_sampled else GIVEN,
-        summary=summary,
-        small=joined_with_and(small) if small else "none",
-    )
+    skipped = (f"Not planned on other maps: {reason}" for reason in result.skipped)
+    fields = {
+        "tables": {"cities": _cities(result), **shown_tables(tables)},
+        "credits": [maps.attribution for maps in result.maps.values()],
+        "lines": first_lines(result.decided.facts),
+        "lost": framed(reasons) if len(reasons) else "",
+        "skipped": bullets(skipped),
+        "route": _route_said(result.route),
+        "result": result,
+        "constraints": str(result.rules.constraints) or "none",
+        "weights": weights_said(result.instances),
+        "origin": SAMPLED if result.is_sampled else GIVEN,
+        "summary": summary,
+        "small": joined_with_and(small) if small else "none",
+    }
+    return ResultReport("studies/templates/sensitivity", fields, tables, figures)
 
 
 def _route_said(route: OneRoute | None) -> str:

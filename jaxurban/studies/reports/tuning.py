@@ -11,11 +11,12 @@ import pandas as pd
 
 from jaxurban.draw.write import (
     REPORT_FILE,
+    Figures,
     Markdown,
     Outputs,
+    ResultReport,
     bullets,
     code,
-    files_of,
     fill,
     first_lines,
     paragraphs,
@@ -42,8 +43,7 @@ from jaxurban.studies.tuning.target import Target
 from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.weight_fit import WeightFit, fit_weights
 
-STATE_FILE = "fit-state.parquet"
-TABLES = "learning_curve", "targets", "tested", "weights", "examples"
+STATE_FILE, WEIGHTS_FILE = "fit-state.parquet", "weights.toml"
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
 
 
@@ -106,12 +106,10 @@ def run_tuning(
         of_cities = (_routes_on(source, files, settings) for source, files in sources.items())
         routes = list(chain.from_iterable(of_cities))
 
-        # The output folder, with the files that a fit writes there. Those of another fit are recognised by the state
-        # file, which holds the settings of its fit.
-        pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(routes))]
-        outputs = [*TABLES, *pictures, "weights.toml", REPORT_FILE]
-        files_written = [STATE_FILE, *files_of(outputs)]
-        with Workspace.open(folder, "tune", names=files_written, overwrite=overwrite):
+        # The output folder. The files of another fit are recognised by the state file, which holds the settings of
+        # its fit.
+        names = [STATE_FILE, WEIGHTS_FILE, REPORT_FILE]
+        with Workspace.open(folder, "tune", names=names, overwrite=overwrite):
             # The fit, to targets or to routes. Fits to routes leave those out that are held out from them.
             report("rounds")
             fit: WeightFit | TargetFit
@@ -138,7 +136,7 @@ def run_tuning(
                 "targets": ", ".join(map(str, targets)),
                 "sources": Markdown("; ".join(origins)),
             }
-            save(folder, outputs_of(fit, routes, planned, texts))
+            save(folder, fit_report(fit, routes, planned, texts).outputs)
     return _facts(fit, folder)
 
 
@@ -148,11 +146,6 @@ def _origin(source: MapsFolder, files: Sequence[Path], settings: TuneSettings) -
     if files:
         routes = ", ".join(map(str, files))
     return f"{code(routes)} over the maps in {code(source.folder)}"
-
-
-def _is_table(file: Path) -> bool:
-    """Return whether a file holds a table, and no lines."""
-    return file.suffix.lower() in SUFFIXES
 
 
 def _routes_on(
@@ -183,13 +176,12 @@ def _routes_on(
                 f"there are no routes for the maps in {str(source.folder)!r}: name files of routes after it, as the "
                 "instances.parquet of a study, or sample instances (--sample)"
             )
-        return [
-            each
-            for file in files
-            for each in demonstrations(
-                file, maps, pilot=pilot if _is_table(file) else settings.pilot, **settings.routes
-            )
-        ]
+        routes: list[Demonstration] = []
+        for file in files:
+            is_table = file.suffix.lower() in SUFFIXES
+            flown_by = pilot if is_table else settings.pilot
+            routes += demonstrations(file, maps, pilot=flown_by, **settings.routes)
+        return routes
     if files:
         raise InputError(
             f"{str(files[0])!r} holds routes, and others are to be sampled: choose one of both"
@@ -214,13 +206,13 @@ def _routes_on(
     return demonstrations(instances[instances.is_connected], maps, pilot=pilot, **options)
 
 
-def outputs_of(
+def fit_report(
     fit: WeightFit | TargetFit,
     demonstrated: Sequence[Demonstration],
     planned: Sequence[Demonstration],
     texts: Mapping[str, str],
-) -> Outputs:
-    """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
+) -> ResultReport:
+    """Return what a fit writes, beside its report weights.toml.
 
     Args:
       fit: the fit of the weights, to routes or to targets.
@@ -228,15 +220,16 @@ def outputs_of(
       planned: ``N`` routes between the same ends under the fitted weights.
       texts: for the report: ``sources`` of the routes, and ``targets``.
     """
-    # The maps by the names of their pictures, the weights [K], a table of the routes, and fields of the report.
+    # The maps by the names of their pictures, the weights [K], and a table of the routes.
     pictures = _pictures(demonstrated)
     first = next(iter(pictures.values()))
     vector = fit.weights.vector(fit.names)
     num_held_out = int(fit.is_held_out.sum())
-    fields = dict[str, Any](texts)
     routes = compared_demonstrations(demonstrated, planned)
     tables = {}
-    outputs: Outputs = {"learning_curve": fit.curve}
+    fields = dict[str, Any](texts)
+    figures: Figures = {}
+    others: Outputs = {"learning_curve": fit.curve}
 
     # What depends on the kind of the fit: the template of its report, its table of weights, and further tables.
     if isinstance(fit, WeightFit):
@@ -244,17 +237,16 @@ def outputs_of(
         noun = "demonstration"
         weights = fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
-        outputs["figures/weights.png"] = lambda: plot_weights(fit)
+        figures["weights"] = partial(plot_weights, fit)
         fields["cautions"] = bullets(fit.cautions)
-        fields["held_out"] = (
-            fill("studies/templates/held_out", num=num_held_out, fit=fit) if num_held_out else ""
-        )
+        held_out = fill("studies/templates/held_out", num=num_held_out, fit=fit)
+        fields["held_out"] = held_out if num_held_out else ""
     else:
         template = "studies/templates/targets"
         noun = "usual route"
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
-        tables["outcomes"] = outputs["targets"] = fit.outcomes.reset_index()
-        tables["tested"] = outputs["tested"] = fit.tested
+        tables["outcomes"] = others["targets"] = fit.outcomes.reset_index()
+        tables["tested"] = others["tested"] = fit.tested
         fields["tested"] = num_held_out or len(demonstrated)
         fields["seen"] = "none" if num_held_out else "all"
 
@@ -265,33 +257,23 @@ def outputs_of(
         unit = "per cell entered"
     units = {"distance": "per metre"} | dict.fromkeys(first.names, unit)
     weights = weights.assign(unit=weights["name"].map(units))
-    outputs |= {"weights": weights, "examples": routes}
+    others |= {"weights": weights, "examples": routes, WEIGHTS_FILE: weights_toml(fit, first)}
     for name, cost_map in pictures.items():
-        outputs[f"figures/{name}.png"] = partial(
-            plot_routes, demonstrated, planned, cost_map, vector, noun
-        )
-
-    # The report.
+        figures[name] = partial(plot_routes, demonstrated, planned, cost_map, vector, noun)
     setting = _setting([*pictures.values()])
-    tables |= {"weights": weights, "setting": setting, "means": _means(routes)}
-    report = fill(
-        template,
-        tables,
-        credits=[cost_map.maps.attribution for cost_map in pictures.values()],
-        fit=fit,
-        lines=first_lines(fit.decided.facts),
-        num=len(routes),
-        overlap=routes["overlap"].mean(),
-        pictures=paragraphs(*(Markdown(f"![Routes](figures/{name}.png)") for name in pictures)),
-        use=fill(
-            "studies/templates/use_weights",
-            unit=first,
-            command=command_to_plan(planned[0].query, fit.weights),
-            where=_where(first),
-        ),
-        **fields,
-    )
-    return outputs | {"weights.toml": weights_toml(fit, first), REPORT_FILE: report}
+    fields |= {
+        "tables": tables | {"weights": weights, "setting": setting, "means": _means(routes)},
+        "credits": [cost_map.maps.attribution for cost_map in pictures.values()],
+        "fit": fit,
+        "lines": first_lines(fit.decided.facts),
+        "num": len(routes),
+        "overlap": routes["overlap"].mean(),
+        "pictures": paragraphs(*(Markdown(f"![Routes](figures/{name}.png)") for name in pictures)),
+        "unit": first,
+        "command": command_to_plan(planned[0].query, fit.weights),
+        "where": _where(first),
+    }
+    return ResultReport(template, fields, figures=figures, others=others)
 
 
 def _pictures(demonstrated: Sequence[Demonstration]) -> dict[str, CostMap]:

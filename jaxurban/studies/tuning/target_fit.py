@@ -20,7 +20,14 @@ from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.programs import kept_jit
 from jaxurban.progress import Report, reporting
 from jaxurban.statistics.conclusions import Conclusion
-from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
+from jaxurban.studies.queries import (
+    LENGTH,
+    PEOPLE,
+    RouteQuery,
+    check_alike,
+    outcomes_of,
+    weights_from,
+)
 from jaxurban.studies.route_pool import (
     FitSettings,
     RoutePool,
@@ -373,26 +380,18 @@ def outcome_values(
       names: ``[K]`` the weights, ``"distance"`` first.
       targets: ``[N]`` name the outcomes.
     """
-    # Integrals begin after K features, with the length; then one for each metric.
+    # Integrals begin after K features.
     num = len(names)
-    length_m = sums[:, num]
-    shortest_m = shortest[:, num]
-    values = []
-    for target in targets:
-        if target.outcome == "length_m":
-            value = jnp.mean(length_m)
-        elif target.outcome == DETOUR:
-            value = jnp.mean(length_m / shortest_m) - 1
-        elif target.outcome == "people":
-            column = num + list(names).index("population")
-            # The shortest routes may pass no people: nothing is divided by 0.
-            people = jnp.maximum(jnp.sum(shortest[:, column]), 1e-9)
-            value = jnp.sum(sums[:, column]) / people
-        else:
-            column = num + list(names).index(target.outcome.removeprefix(MEAN))
-            value = jnp.mean(sums[:, column] / length_m)
-        values.append(value)
-    return jnp.stack(values)
+    outcomes = outcomes_of(sums[:, num:], names)
+    at_shortest = outcomes_of(shortest[:, num:], names)
+    values = {name: jnp.mean(outcome) for name, outcome in outcomes.items()}
+    values[DETOUR] = jnp.mean(outcomes[LENGTH] / at_shortest[LENGTH]) - 1
+    if PEOPLE in outcomes:
+        # The shortest routes may pass no people: nothing is divided by 0.
+        most = jnp.maximum(jnp.sum(at_shortest[PEOPLE]), 1e-9)
+        values[PEOPLE] = jnp.sum(outcomes[PEOPLE]) / most
+        values[f"{MEAN}population"] = jnp.mean(outcomes[PEOPLE] / outcomes[LENGTH])
+    return jnp.stack([values[target.outcome] for target in targets])
 
 
 def _missed(values: AnyArray, aim: _Aim) -> Array:

@@ -28,6 +28,7 @@ from jaxurban.studies.tuning.weight_fit_rounds import (
     refitted,
     run_rounds,
     scaled,
+    searched_regret,
 )
 
 # Demonstrations above it on average are not optimal under any weights. Of lines that were redrawn, what redrawing adds
@@ -248,7 +249,11 @@ def fit_weights(
 
     # The regret of those that are held out. One far above the usual one of those that were fitted is bad.
     fitted = weights_from(queries[0], table.weight.to_numpy())
-    held_out_regret = _searched_regret(held_out, fitted.vector(names))
+    held_out_regret = np.empty(0)
+    if held_out:
+        pool = RoutePool([each.query for each in held_out])
+        demo = np.array([each.features for each in held_out])
+        held_out_regret = searched_regret(pool, demo, fitted.vector(names))
     is_tested = trust_of(held_out_regret, usual_regret(regret)) >= DISTRUSTED
     group, city = (each[is_held_out][is_tested] for each in (group, city))
     return WeightFit(
@@ -271,15 +276,6 @@ def fit_weights(
         num_tested=len(np.unique(group)),
         query=queries[0],
     )
-
-
-def _searched_regret(demonstrations: Sequence[Demonstration], weights: np.ndarray) -> np.ndarray:
-    """Return ``[N]`` by which share demonstrations cost more under weights ``[K]`` than the cheapest by search."""
-    if not demonstrations:
-        return np.empty(0)
-    cheapest = RoutePool([each.query for each in demonstrations]).cheapest(weights[None])[0, :, 0]
-    demo = np.array([each.features for each in demonstrations])
-    return (demo @ weights) / (cheapest @ weights) - 1
 
 
 def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str]:

@@ -11,7 +11,7 @@ import pandas as pd
 from jaxurban.io.tables import fingerprint
 from jaxurban.progress import Report
 from jaxurban.studies.demonstrations import Demonstration
-from jaxurban.studies.route_pool import FitSettings, pool_of_fit
+from jaxurban.studies.route_pool import FitSettings, RoutePool, pool_of_fit
 from jaxurban.studies.tuning.confidence import draw_counts, feature_units, near_optimal_range, refit
 from jaxurban.studies.tuning.fenchel_young import (
     FitTask,
@@ -169,9 +169,7 @@ class FitUnderWay:
 
     def searched_regret(self, log_weights: np.ndarray) -> np.ndarray:
         """Return ``[Q]`` the regret of each demonstration under weights, against the cheapest route by search."""
-        weights = self.weights_of(log_weights)
-        cheapest = self.pool.cheapest(weights[None])[0, :, 0]
-        return (self.demo @ weights) / (cheapest @ weights) - 1
+        return searched_regret(self.pool, self.demo, self.weights_of(log_weights))
 
     def task_without_noise(self) -> FitTask:
         """Return the task for what noise plays no part in, such as the regret; two noises are the fewest."""
@@ -195,6 +193,12 @@ class FitUnderWay:
             if reached <= float(expected) + SETTLED:
                 break
         return best
+
+
+def searched_regret(pool: RoutePool, demo: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return ``[Q]`` by which share routes of features ``[Q, K]`` cost more than the cheapest that a search finds."""
+    cheapest = pool.cheapest(weights[None])[0, :, 0]
+    return (demo @ weights) / (cheapest @ weights) - 1
 
 
 def run_rounds(

@@ -43,8 +43,6 @@ class Partition:
         over a triangle, those of larger cells first.
       cells: of each route, the corners ``[V, C]`` of the interval or convex polygon where it is cheapest.
       is_complete: every corner of every cell is verified by a search. If not, a route may be missing.
-      tolerance: relative: no route is cheaper, anywhere, by more than this.
-      num_plans: searches made.
       names: the weights.
       objectives: of a Pareto front, the names of the weights whose features are traded.
     """
@@ -54,8 +52,6 @@ class Partition:
     integrals: np.ndarray
     cells: tuple[np.ndarray, ...]
     is_complete: bool
-    tolerance: float
-    num_plans: int
     names: tuple[str, ...]
     objectives: tuple[str, ...] = ()
 
@@ -161,8 +157,6 @@ def find_breakpoints(
         integrals=chosen[:, 1],
         cells=tuple(cells[route] for route in order),
         is_complete=not len(places),
-        tolerance=tolerance,
-        num_plans=pool.num_plans - before,
         names=pool.names,
     )
 

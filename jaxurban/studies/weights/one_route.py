@@ -144,12 +144,12 @@ def one_route(cost_map: CostMap, instance: Row, job: WeightsJob, report: Report)
         lines[name] = find_breakpoints(pool, ends, on_plans=on_plans)
 
     # And traded against each other: the Pareto front of the distance and of the two metrics with the largest shares of
-    # the cost, unless the settings name others.
+    # the cost.
     shares = pd.Series(weights * features, names)[[name for name in columns if name != "distance"]]
     largest = shares.sort_values(ascending=False, kind="stable").index[:2]
     front = pareto_front(
         pool,
-        settings.objectives or ("distance", *largest),
+        ("distance", *largest),
         tolerance=settings.tolerance,
         max_plans=settings.max_plans,
         on_plans=partial(report, "Pareto front"),

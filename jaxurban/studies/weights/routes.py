@@ -20,7 +20,7 @@ from jaxurban.paths.snapping import snap_note
 from jaxurban.planners.astar import astar
 from jaxurban.studies.demonstrations import overlap_of
 from jaxurban.studies.montecarlo.sampling import KEY
-from jaxurban.studies.queries import RouteQuery, outcomes_of, query_between
+from jaxurban.studies.queries import RouteQuery, outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import nearest_breakpoints
 from jaxurban.studies.weights.paid import PAID, paid_on
@@ -167,7 +167,11 @@ def query_of(
     places = [XY(instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal")]
     ends = cost_map.free_space.ends(*places, snap=snap)
     start, goal = (end.cell for end in ends)
-    query = query_between(cost_map, start, goal, str(instance["instance"]))
+    if start == goal:
+        raise InputError(
+            "start and goal lie in one cell, so there is no route to study: set them further apart"
+        )
+    query = RouteQuery(cost_map, start, goal, str(instance["instance"]))
     weights = np.array([float(instance[f"w_{name}"]) for name in query.names])
     return query, weights, ends
 

@@ -22,9 +22,8 @@ class SensitivitySettings:
       wrong: factor by which a wrong weight is too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none; left
         out: 128 of one route, 32 of each of several.
-      objectives: two or three features for the Pareto front of one route; left out: distance and the two varied metrics
-        with the largest shares of the cost.
-      tolerance: of the front, a share of the cost.
+      tolerance: of the Pareto front of one route, between the distance and the two varied metrics with the largest
+        shares of the cost: a share of the cost.
       max_plans: searches that the front may take.
       num_heights: draws of all heights, on the maps of each of which every route is planned too.
       seed: of the sampling of routes and weights, with the place of the city among those of the study and the route's
@@ -35,15 +34,14 @@ class SensitivitySettings:
 
     Examples:
       >>> settings = ju.studies.SensitivitySettings(vary=("gps", "risk"), factors=(0.5, 2.0), num_samples=16)
-      >>> settings.vary, settings.wrong, settings.objectives  # left out: chosen when the study runs
-      (('gps', 'risk'), 2.0, ())
+      >>> settings.vary, settings.wrong
+      (('gps', 'risk'), 2.0)
     """
 
     vary: tuple[str, ...] = ()
     factors: tuple[float, float] = (0.1, 10.0)
     wrong: float = 2.0
     num_samples: int | None = None
-    objectives: tuple[str, ...] = ()
     tolerance: float = 1e-3
     max_plans: int = 5000
     num_heights: int = 0
@@ -65,11 +63,6 @@ class SensitivitySettings:
         is_power = num & (num - 1) == 0  # of two, with a single binary digit 1; or 0
         if num < 0 or num == 1 or not is_power:
             raise InputError(f"num_samples must be a power of two such as 32, got {num}")
-        num_objectives = len(self.objectives)
-        if num_objectives not in (0, 2, 3) or len(set(self.objectives)) < num_objectives:
-            raise InputError(
-                f"objectives must name 2 or 3 different weights, got {', '.join(self.objectives)}"
-            )
         if not EXACT <= self.tolerance < 1:
             raise InputError(
                 f"tolerance must be at least {EXACT:g} and below 1, got {self.tolerance}"

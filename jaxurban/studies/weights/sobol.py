@@ -19,14 +19,12 @@ from jaxurban.errors import InputError
 from jaxurban.statistics.bootstrap import interval_reach
 from jaxurban.studies.queries import outcomes_of
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.weights.breakpoints import OnPlans
 
 NUM_RESAMPLES = 1000  # of the bootstrap that gives the confidence intervals
 CONFIDENCE = 0.95
 FEW_SAMPLES = 64  # with fewer, intervals contain known indices in 62 to 94 % of the cases only
 CONSTANT = 1e-12  # relative: an outcome that varies by less does not vary
 OF_SHARE = ("first", "first_ci", "total", "total_ci")  # columns of Sobol shares
-NUM_AT_ONCE = 64  # weights planned under between two reports of progress
 
 
 def varied_columns(
@@ -67,8 +65,7 @@ def sobol_indices(
     """Return Sobol indices of a function's outcomes with respect to its ``D`` factors, uniform from 0 to 1.
 
     The table has a row for each outcome and factor, which are its index. ``first`` and ``total`` are the indices, and
-    ``first_ci`` and ``total_ci`` half the width of their 95 % intervals; these four are NaN for an outcome that does
-    not vary. ``mean``, ``std``, ``lowest`` and ``highest`` are of the outcome over the samples.
+    ``first_ci`` and ``total_ci`` half the width of their 95 % intervals; all are NaN for an outcome that does not vary.
 
     Args:
       evaluate: takes ``[N (D + 2), D]`` points and returns each outcome there.
@@ -95,7 +92,6 @@ def sobol_of_weights(
     factors: tuple[float, float],
     num_samples: int,
     seed: int = 0,
-    on_plans: OnPlans | None = None,
 ) -> pd.DataFrame:
     """Return Sobol indices of the outcomes of the cheapest routes, with respect to ``D`` weights that vary.
 
@@ -108,7 +104,6 @@ def sobol_of_weights(
       columns: of the weights that vary.
       factors: a weight goes from the first to the second of these times its given value.
       num_samples, seed: as in `sobol_indices`.
-      on_plans: gets the number of searches made so far.
 
     Raises:
       InputError: a query without a path.
@@ -119,15 +114,7 @@ def sobol_of_weights(
         """Return the mean outcomes at points ``[N, D]`` of the unit cube, weights spaced by logarithm."""
         varied = np.tile(weights, (len(unit), 1))
         varied[:, columns] = low * (high / low) ** unit
-
-        # Integrals [Q, N, K], some weights at a time, so that progress shows.
-        parts = []
-        for begin in range(0, len(varied), NUM_AT_ONCE):
-            some = varied[begin : begin + NUM_AT_ONCE]
-            parts.append(pool.cheapest(some)[1])
-            if on_plans is not None:
-                on_plans((begin + len(some)) * len(pool.queries))
-        outcomes = outcomes_of(np.concatenate(parts, axis=1), pool.names)
+        outcomes = outcomes_of(pool.cheapest(varied)[1], pool.names)
         return {name: values.mean(axis=0) for name, values in outcomes.items()}
 
     return sobol_indices(evaluate, [pool.names[column] for column in columns], num_samples, seed)
@@ -142,14 +129,8 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
       seed: of the points; the bootstrap has the next one.
     """
     # A table without indices, which is all of an outcome that does not vary.
-    facts = {
-        **dict.fromkeys(OF_SHARE, np.nan),
-        "mean": values.mean(),
-        "std": values.std(),
-        "lowest": values.min(),
-        "highest": values.max(),
-    }
-    table = pd.DataFrame(facts, pd.Index(problem["names"], name="factor"))
+    factors = pd.Index(problem["names"], name="factor")
+    table = pd.DataFrame(np.nan, factors, list(OF_SHARE))
     if np.ptp(values) <= CONSTANT * np.abs(values).max():
         return table
     from SALib.analyze import sobol as analysis
