@@ -24,15 +24,14 @@
 # %matplotlib inline
 from dataclasses import replace
 
-import geopandas as gpd
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib.colors import SymLogNorm
 
 import jaxurban as ju
 from jaxurban.plot import plot_paths
+from jaxurban.studies.reports.buildings import plot_building_costs
 
 city = ju.demo_city(width_m=1_600, height_m=1_600)
 buildings = city.buildings
@@ -62,17 +61,7 @@ print(f"{len(table):,} buildings have any effect. The costliest, in cost per met
 table[columns].head(8).round(3)
 
 # %%
-# Red costs, blue helps, on a logarithmic scale to both sides of zero; the line is the route.
-outlines = gpd.GeoDataFrame(table, geometry=buildings.polygons[table["building"]])
-axes = gpd.GeoSeries(buildings.polygons).plot(
-    color="#f2f2f2", edgecolor="#b0b0b0", linewidth=0.3, figsize=(7.5, 7.5)
-)
-scale = SymLogNorm(1e-2, vmin=-10, vmax=10)
-label = {"label": "cost per metre of height (1/m)", "shrink": 0.6}
-outlines.plot("per_metre", ax=axes, cmap="RdBu_r", norm=scale, legend=True, legend_kwds=label)
-axes.plot(*route.xy_m.T, color="black", linewidth=1.5)
-axes.set_axis_off()
-plt.show()
+plot_building_costs(city, route, table, maps.grid)
 
 # %% [markdown]
 # ## Which of the buildings matter

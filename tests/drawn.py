@@ -26,7 +26,7 @@ from tests.draw.test_figures import at_epochs, make_maps, make_path, make_paths
 from tests.draw.test_legible import agreement, crowded
 from tests.guess_records import FLAT, NOMINAL, attribute, heights
 from tests.made_agreement import made
-from tests.made_maps import made_maps, maps_of_kinds
+from tests.made_maps import city_of_boxes, made_maps, maps_of_kinds
 
 CREDIT = "Data: OpenStreetMap contributors (ODbL 1.0); U.S. Geological Survey; WorldPop (CC BY 4.0); own survey"
 GUESSES = (
@@ -175,6 +175,20 @@ def _mission(plot, case: Case) -> Figure:
     return plot(_checked(case.is_hard))
 
 
+def _building_costs(plot, case: Case) -> Figure:
+    maps = maps_for(case.is_hard)
+    rng = np.random.default_rng(3)
+    corners = rng.uniform(0, 3000, (60, 2))
+    boxes = np.hstack([corners, corners + 120])
+    city = city_of_boxes(boxes, np.full(60, 30.0), 3400.0, maps.grid.bounds_m[:2])
+    costs = rng.normal(size=60) * 10.0 ** rng.integers(-4, 2, 60)
+    table = pd.DataFrame({"building": range(60), "per_metre": costs})
+    table.attrs["softness_m"] = 2.0
+    path = make_path(maps, "astar-plus")
+    path.settings["weights"] = dict.fromkeys(case.pick(METRICS, LAYERS), 1.0)
+    return plot(replace(city, attribution=CREDIT) if case.is_hard else city, path, table, maps.grid)
+
+
 def _costs(plot, case: Case) -> Figure:
     planners = case.pick(PLANNERS[:2], (*PLANNERS, "theta-star refined", "OMPL BIT*"))
     rng = np.random.default_rng(1)
@@ -292,6 +306,7 @@ def _all_maps(plot, case: Case) -> Figure:
 
 
 PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
+    "plot_building_costs": _building_costs,
     "plot_flown_heights": _mission,
     "plot_mission": _mission,
     "plot_return": _return,
