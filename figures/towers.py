@@ -1,0 +1,43 @@
+"""Draw docs/towers.png, the picture of README: the two routes of its example over the quality of GPS."""
+
+from pathlib import Path
+
+import numpy as np
+
+import jaxurban as ju
+from figures.gallery import SCREEN_DPI
+from jaxurban.draw.write import write_picture
+from jaxurban.plot import plot_metric
+
+DOCS = Path(__file__).parents[1] / "docs"
+ENDS = (-74.0120, 40.7015), (-74.0110, 40.7170)  # longitude, latitude: the Battery and Tribeca
+QUERY = {"altitude_m": 40.0, "snap": True}
+MARGIN_M = 200.0  # of the city around the routes, twice above them
+
+
+def main() -> None:
+    city = ju.sample_city("lower-manhattan")
+    maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(40.0,))
+    shortest = ju.plan(maps, *ENDS, objective="distance", **QUERY)
+    round_towers = ju.plan(maps, *ENDS, weights={"gps": 20}, **QUERY)
+    figure = plot_metric(maps, "gps", width=130.0)
+    axes = figure.axes[0]
+    for path, name, colour in (
+        (shortest, "the shortest", "tab:red"),
+        (round_towers, "GPS counts twenty times", "white"),
+    ):
+        no_fix_m = ju.explain(path, maps).totals["no_fix_m"]
+        label = f"{name}: {path.length_m:,.0f} m, {no_fix_m:.0f} m without a fix"
+        axes.plot(*path.xy_m.T, color="black", linewidth=4.0)
+        axes.plot(*path.xy_m.T, color=colour, linewidth=2.5, label=label)
+    x_m, y_m = np.concatenate([shortest.xy_m, round_towers.xy_m]).T
+    side_m = np.ptp(y_m) + 3 * MARGIN_M
+    axes.set_xlim(x_m.min() - MARGIN_M, x_m.min() - MARGIN_M + side_m)
+    axes.set_ylim(y_m.min() - MARGIN_M, y_m.max() + 2 * MARGIN_M)
+    # Above the routes and beside the arrow to the north.
+    axes.legend(loc="upper left", fontsize=8.0, facecolor="lightgrey", framealpha=1.0)
+    write_picture(figure, DOCS / "towers.png", dpi=SCREEN_DPI)
+
+
+if __name__ == "__main__":
+    main()
