@@ -138,13 +138,13 @@ class MapComparison(Result):
 
         # Commands that can be pasted as they are; of maps in memory they are Python's. Braces are of `str.format`.
         more = "ju.studies.compare(A, B, routes={needed})"
-        view = "ju.view(A, against=B)"
+        view = "ju.view(B)"
         if all(self.names):
             names = (name.replace("{", "{{").replace("}", "}}") for name in self.names)
             a, b = map(shlex.quote, names)
             which = f"--resolution {self.a.grid.resolution_m:g}"
             more = f"jaxurban compare {a} {b} {which} --routes {{needed}} -o {b}_routes_{{needed}}"
-            view = f"jaxurban view {a} --against {b} {which}"
+            view = f"jaxurban view {b} {which}"
         command = more if self.routes.empty else view
         done = command.format(needed=USUAL_ROUTES)
         return concluded(verdicts, more=more, done=done, wider=done)

@@ -12,7 +12,6 @@ from jaxurban.statistics.bootstrap import (
     FEWEST_GROUPS,
     Clusters,
     draws_of,
-    interval_of,
     median_of,
 )
 from jaxurban.studies.montecarlo import analysis
@@ -89,7 +88,7 @@ def test_success_counts_paths_pairs_and_crashes(table):
 
 def test_times_are_by_planner_and_altitude(table):
     time = analysis.times(table).set_index("planner")
-    assert time.loc[CHEAP, "runs"] == 12
+    assert time.loc[CHEAP, "runs"] == 10  # those that found a path
     assert time.loc[LINE, "p95_s"] == pytest.approx(0.1, rel=0.5)
 
 
@@ -221,18 +220,6 @@ def uneven(num):
     return drawn
 
 
-def correlated(num, truth):
-    draws = draws_of(num)
-
-    def drawn(rng):
-        gps = rng.normal(size=num)
-        lidar = truth * gps + np.sqrt(1 - truth**2) * rng.normal(size=num)
-        sums = np.stack([np.ones(num), gps, lidar, gps**2, lidar**2, gps * lidar], axis=1)
-        return interval_of(truth, analysis.correlation_of(draws @ sums), num), truth
-
-    return drawn
-
-
 def of_cities(num):
     """Means over pairs of places at two altitudes in three cities that differ; each more costs a degree of freedom."""
     pair = np.repeat(np.arange(2 * (num + 2)), 2)
@@ -260,7 +247,7 @@ def of_routes_and_heights(num):
     return drawn
 
 
-SEEDS = {"uncorrelated": 12, "correlated": 12, "of cities": 13, "of routes and heights": 14}
+SEEDS = {"of cities": 13, "of routes and heights": 14}
 MADE = {
     "normal": lambda num: independent(num, "mean", 0.0, lambda rng, num: rng.normal(size=num)),
     "skewed": lambda num: independent(
@@ -274,8 +261,6 @@ MADE = {
         num, "share", 0.3, lambda rng, num: (rng.random(num) < 0.3).astype(float)
     ),
     "uneven": uneven,
-    "uncorrelated": lambda num: correlated(num, 0.0),
-    "correlated": lambda num: correlated(num, 0.5),
     "of cities": of_cities,
     "of routes and heights": of_routes_and_heights,
 }

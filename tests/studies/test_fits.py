@@ -328,7 +328,9 @@ def test_targets_are_met_where_brute_force_meets_them_and_missed_where_it_does_n
     fit = fit_targets(queries, reachable, settings=kept)
     assert fit.is_met
     assert fit.outcomes["missed_by"].max() <= 0.02
-    assert fit.sentence == "All targets are met on the routes that the weights were fitted to."
+    assert fit.sentence == (
+        "All targets are met on the average of the routes that the weights were fitted to."
+    )
     assert not fit.is_held_out.any()  # of so few
     assert not any(verdict.is_decided for verdict in fit.decided.verdicts)
     weights = np.array([[fit.weights[name] for name in fit.names]])

@@ -180,7 +180,7 @@ def test_the_next_command_can_be_pasted(maps, found, tmp_path):
     assert "--routes 8 -o" in few.decided.facts["next"]  # the fewest that have an interval
     same = ju.studies.compare(folders[0], folders[0], routes=4, progress=False)
     assert shlex.split(same.decided.facts["next"]) == [
-        *("jaxurban", "view", folders[0], "--against", folders[0], "--resolution", "10")
+        *("jaxurban", "view", folders[0], "--resolution", "10")
     ]
 
 

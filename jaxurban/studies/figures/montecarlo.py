@@ -26,7 +26,7 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     colours = planner_colours(sorted(table.planner.unique()))
     heading = "Share of pairs solved within a factor of the cheapest cost known"
     figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True)
-    end = np.clip(table.ratio.quantile(0.98), *RATIO_AXIS)
+    end = np.clip(table.ratio.max(), *RATIO_AXIS)
     left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
     for panel, (altitude_m, rows) in zip(axes, table.groupby("altitude_m"), strict=True):
         for rank, (planner, colour) in enumerate(colours.items()):

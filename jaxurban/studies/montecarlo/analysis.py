@@ -90,14 +90,14 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
 def times(table: pd.DataFrame) -> pd.DataFrame:
     """Return seconds, expansions and samples of each planner, a row per planner and altitude.
 
-    ``runs`` counts the runs that ended; the other columns are quantiles over them, NaN where a planner counts neither
-    expansions nor samples.
+    ``runs`` counts the runs that found a path, as refusing a pair takes no search; the other columns are quantiles over
+    them, NaN where a planner counts neither expansions nor samples.
 
     Args:
       table: from `with_instances`; only runs of the weighted objective count.
     """
     rows = weighted_rows(table).astype({"num_expanded": float, "num_samples": float})
-    grouped = rows[rows.elapsed_s.notna()].groupby(["planner", "altitude_m"])
+    grouped = rows[rows.has_path].groupby(["planner", "altitude_m"])
     return grouped.agg(
         runs=("elapsed_s", "size"),
         median_s=("elapsed_s", "median"),

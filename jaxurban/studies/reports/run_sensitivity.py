@@ -8,7 +8,7 @@ from typing import Unpack
 import pandas as pd
 
 from jaxurban.checks import typed, values_given
-from jaxurban.draw.write import REPORT_FILE, save
+from jaxurban.draw.write import save
 from jaxurban.errors import InputError
 from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, records_of, write_table
 from jaxurban.io.workspace import Workspace
@@ -19,7 +19,7 @@ from jaxurban.paths.places import snap_limit_m
 from jaxurban.paths.queries import QueriesLike
 from jaxurban.paths.rows import MapsFolder, check_workers, run_rows
 from jaxurban.progress import Progress, reporting
-from jaxurban.studies.reports.sensitivity import Sensitivity, sensitivity_report
+from jaxurban.studies.reports.sensitivity import FILES, Sensitivity, sensitivity_report
 from jaxurban.studies.weights.changed_maps import CHANGED_FOLDER, add_changed_rows
 from jaxurban.studies.weights.cities import (
     in_order,
@@ -129,14 +129,14 @@ def sensitivity(
         only = job.cost_map(maps, *at), instance
         query_of(*only, snap)  # its ends are free
 
-    # What identifies the study in its folder, and the files without which it is of no use.
+    # What identifies the study in its folder, and the files that it may write there.
     key = job.to_dict() | {
         "maps": {city: maps.identity for city, maps in cities.maps.items()},
         "order_of_cities": [*cities.maps],
         "routes": routes_key(instances),
     }
     folders = ROUTES_FOLDER, CHANGED_FOLDER
-    names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in folders), REPORT_FILE]
+    names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in folders), *FILES]
     with (
         Workspace.open(folder, "sensitivity", key, names=names, overwrite=overwrite),
         reporting("sensitivity", progress) as report,

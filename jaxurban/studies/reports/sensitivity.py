@@ -8,10 +8,12 @@ from pathlib import Path
 import pandas as pd
 
 from jaxurban.draw.write import (
+    REPORT_FILE,
     Figures,
     Markdown,
     ResultReport,
     bullets,
+    files_of,
     first_lines,
     framed,
     joined_with_and,
@@ -34,6 +36,27 @@ from jaxurban.studies.weights.settings import SensitivitySettings
 from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES
 from jaxurban.studies.weights.verdicts import verdicts_of
 
+# What a study may write, so that a user's file in the way is refused before an older study is removed.
+TABLES = [
+    "routes",
+    "weights",
+    "summary",
+    "sobol",
+    "sobol_summary",
+    "changed",
+    "changed_summary",
+    "ways",
+    "switches",
+    "pareto",
+]
+FIGURES = ["regret", "nearest", "switches", "switch_routes", "pareto"]
+FILES = files_of(
+    [
+        *(f"tables/{name}" for name in TABLES),
+        *(f"figures/{name}.png" for name in FIGURES),
+        REPORT_FILE,
+    ]
+)
 SAMPLED = (
     "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
     "anyone flies: means are over such routes, not over traffic."

@@ -17,6 +17,7 @@ from jaxurban.draw.write import (
     ResultReport,
     bullets,
     code,
+    files_of,
     fill,
     first_lines,
     paragraphs,
@@ -43,6 +44,7 @@ from jaxurban.studies.tuning.target import Target
 from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.weight_fit import WeightFit, fit_weights
 
+TABLES = ("learning_curve", "weights", "examples", "targets", "tested")
 STATE_FILE, WEIGHTS_FILE = "fit-state.parquet", "weights.toml"
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
 
@@ -106,9 +108,10 @@ def run_tuning(
         of_cities = (_routes_on(source, files, settings) for source, files in sources.items())
         routes = list(chain.from_iterable(of_cities))
 
-        # The output folder. The files of another fit are recognised by the state file, which holds the settings of
-        # its fit.
-        names = [STATE_FILE, WEIGHTS_FILE, REPORT_FILE]
+        # The output folder, with the files that a fit may write there. Those of another fit are recognised by the state
+        # file, which holds the settings of its fit.
+        pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(routes))]
+        names = [STATE_FILE, *files_of([*TABLES, *pictures, WEIGHTS_FILE, REPORT_FILE])]
         with Workspace.open(folder, "tune", names=names, overwrite=overwrite):
             # The fit, to targets or to routes. Fits to routes leave those out that are held out from them.
             report("rounds")

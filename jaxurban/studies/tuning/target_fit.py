@@ -103,8 +103,14 @@ class TargetFit:
     @property
     def sentence(self) -> str:
         """Whether all targets are met; if not, which are missed, and whether the budget ran out."""
+        if self.is_met and len(self.curve) == 1:
+            return (
+                "The first weights that were tried meet all targets on average: nothing was fitted."
+            )
         if self.is_met:
-            return "All targets are met on the routes that the weights were fitted to."
+            return (
+                "All targets are met on the average of the routes that the weights were fitted to."
+            )
         rows = self.outcomes[~self.outcomes.is_met].iterrows()
         missed = [f"{target} (reached {row.reached:.4g})" for target, row in rows]
         sentence = f"Not all targets were met; the best trade-off found misses {', '.join(missed)}."
@@ -150,7 +156,7 @@ def fit_targets(
       >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
       >>> fit = ju.fit.fit_targets(queries, ["detour<=0.2"], settings=ju.fit.FitSettings(max_rounds=2))
       >>> fit.sentence
-      'All targets are met on the routes that the weights were fitted to.'
+      'All targets are met on the average of the routes that the weights were fitted to.'
       >>> fit.outcomes[["wished", "shortest", "is_met"]]
                      wished  shortest  is_met
       wish

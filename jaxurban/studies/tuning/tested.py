@@ -8,7 +8,7 @@ import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.metrics.weights import Weights
-from jaxurban.statistics.bootstrap import Clusters, interval_columns
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters, interval_columns
 from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, runs_needed
 from jaxurban.studies.decided import FEWEST_TO_HOLD_OUT, USUAL_SHARE, effects
 from jaxurban.studies.queries import (
@@ -161,7 +161,8 @@ def wish_conclusion(
             before = row["without_wish"]
             if target.sign * (before - target.value) >= 0:
                 already = before, np.nan, np.nan, row["n"], row["unit"], PAIRS
-                met.append(Verdict(WishVerdict.BEFORE, (label,), *already))
+                few = FEWEST_GROUPS if row["n"] < FEWEST_GROUPS else 0
+                met.append(Verdict(WishVerdict.BEFORE, (label,), *already, few))
         size, low, high = (row[column] for column in interval_columns(name))
         num_pairs, unit, noun = row["n"], row["unit"], PAIRS
         facts = {"largest": row["largest"]}

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.statistics.bootstrap import Clusters
-from jaxurban.statistics.conclusions import Verdict
+from jaxurban.statistics.conclusions import Verdict, sized
 from jaxurban.studies.decided import Measure, border_verdict, effects, ranked
 from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.routes import ROUTE_KEY
@@ -101,8 +101,9 @@ def _ranks(weights: pd.DataFrame, settings: SensitivitySettings) -> Iterator[Ver
     costs = effects(regrets, clusters).loc[names].sort_values("size", ascending=False)
     rows: Any = costs.assign(low=costs.low.clip(lower=0)).itertuples()
     for row in rows:
-        more = varied[varied.weight_name == row.Index].mean(numeric_only=True)
-        facts = wrong | {"paid": paid_said(more)}
+        of_weight = varied[varied.weight_name == row.Index]
+        drawn = Clusters(of_weight.instance, of_weight.city)
+        facts = wrong | {"paid": paid_on_average(of_weight, drawn)}
         about = row.size, row.low, row.high, row.n, "%", "routes", row.needed
         yield Verdict(WeightVerdict.COSTS, (row.Index,), *about, facts)
     if dead:
@@ -147,6 +148,16 @@ def _range(settings: SensitivitySettings) -> dict[str, float]:
     """Return the ends of the factors in which breakpoints are looked for."""
     low, high = settings.factors
     return {"low": low, "high": high}
+
+
+def paid_on_average(rows: pd.DataFrame, clusters: Clusters) -> str:
+    """Return the mean of what a user pays more, in words: that of which the interval excludes 0."""
+    words = []
+    for name, unit in PAID_WORDS.items():
+        size, low, high = clusters.interval(rows[name])
+        if low > 0 or high < 0:
+            words.append(sized(size, low, high, unit))
+    return ", ".join(words) or "no more way, people or metres without a fix that can be told from 0"
 
 
 def paid_said(more: Mapping[Any, Any]) -> str:
