@@ -1,6 +1,7 @@
 from jaxurban import fit as fit
 from jaxurban import grad as grad
 from jaxurban import metrics as metrics
+from jaxurban import plot as plot
 from jaxurban import studies as studies
 from jaxurban.cities.samples import sample_city as sample_city
 from jaxurban.cities.synthetic import demo_city as demo_city

@@ -1,6 +1,7 @@
+from jaxurban.draw.heights import plot_city as plot_city
+from jaxurban.draw.heights import plot_heights as plot_heights
 from jaxurban.draw.metrics import plot_epochs as plot_epochs
 from jaxurban.draw.metrics import plot_gps_rating as plot_gps_rating
-from jaxurban.draw.metrics import plot_heights as plot_heights
 from jaxurban.draw.metrics import plot_metric as plot_metric
 from jaxurban.draw.metrics import plot_obstacles as plot_obstacles
 from jaxurban.draw.metrics import plot_population as plot_population
@@ -13,3 +14,11 @@ from jaxurban.draw.profile import save_profile as save_profile
 from jaxurban.draw.style import bare as bare
 from jaxurban.draw.when import plot_when as plot_when
 from jaxurban.flights.figures import plot_return as plot_return
+from jaxurban.receivers.figures import plot_sky as plot_sky
+from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes as plot_breakpoint_routes
+from jaxurban.studies.figures.sensitivity import plot_nearest as plot_nearest
+from jaxurban.studies.figures.sensitivity import plot_regret as plot_regret
+from jaxurban.studies.figures.tuning import plot_fitted_routes as plot_fitted_routes
+from jaxurban.studies.figures.tuning import plot_weights as plot_weights
+from jaxurban.studies.reports.buildings import plot_building_costs as plot_building_costs
+from jaxurban.studies.reports.map_comparison import plot_difference as plot_difference

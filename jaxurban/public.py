@@ -16,6 +16,7 @@ from jaxurban.knowledge import Caution, caution_lines
 
 # Modules of the package whose names are public too.
 NAMESPACES = ("fit", "grad", "metrics", "studies")
+PICTURES = "plot"  # the module of all functions that draw
 Function = TypeVar("Function", bound=Callable)
 LEAST_ALIKE = 0.66  # as two letters of three are
 
@@ -23,7 +24,7 @@ LEAST_ALIKE = 0.66  # as two letters of three are
 def public_names(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return a module's ``__getattr__``, ``__dir__`` and ``__all__``, as its stub names them.
+    """Return a module's ``__getattr__``, ``__dir__`` and ``__all__``, as its stub names them: functions before classes.
 
     Args:
       package: full name of the module.
@@ -51,7 +52,8 @@ def public_names(
             return import_module(f"{package}.{name}")
         return getattr(import_module(home), name)
 
-    return fetch, lambda: sorted(homes), sorted(homes)
+    names = sorted(homes, key=lambda name: (name[0].isupper(), name))
+    return fetch, lambda: names, names
 
 
 def _elsewhere(name: str) -> str:
@@ -63,12 +65,13 @@ def _elsewhere(name: str) -> str:
 
 
 def _public_homes() -> dict[str, str]:
-    """Return the module of each public name: the package, or one of its namespaces."""
+    """Return the module of each public name: the package, one of its namespaces, or that of pictures."""
     package = __name__.rpartition(".")[0]
     homes: dict[str, str] = {}
-    for home in (package, *(f"{package}.{each}" for each in NAMESPACES)):
+    spaces = (*NAMESPACES, PICTURES)
+    for home in (package, *(f"{package}.{each}" for each in spaces)):
         homes |= dict.fromkeys(import_module(home).__all__, home)
-    return {name: home for name, home in homes.items() if name not in NAMESPACES}
+    return {name: home for name, home in homes.items() if name not in spaces}
 
 
 def find_public(name: str) -> Any:

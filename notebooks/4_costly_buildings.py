@@ -30,8 +30,7 @@ import numpy as np
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.plot import plot_paths
-from jaxurban.studies.reports.buildings import plot_building_costs
+from jaxurban.plot import plot_building_costs, plot_paths
 
 city = ju.demo_city(width_m=1_600, height_m=1_600)
 buildings = city.buildings

@@ -23,9 +23,8 @@
 import numpy as np
 
 import jaxurban as ju
-from jaxurban.plot import plot_paths
+from jaxurban.plot import plot_fitted_routes, plot_paths, plot_weights
 from jaxurban.studies.demonstrations import optimal_demonstrations
-from jaxurban.studies.figures.tuning import plot_routes, plot_weights
 
 city = ju.sample_city("lower-manhattan")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
@@ -74,7 +73,7 @@ fit.curve[["round", "mean_regret", "worst_gap"]].tail()
 
 # %%
 planned = optimal_demonstrations([shown.query for shown in demonstrations], fit.weights)
-plot_routes(demonstrations, planned, demonstrations[0].query.cost_map, fit.vector)
+plot_fitted_routes(demonstrations, planned, demonstrations[0].query.cost_map, fit.vector)
 
 # %% [markdown]
 # ## Would it choose as the pilot does?

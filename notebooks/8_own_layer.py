@@ -28,8 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxurban as ju
-from jaxurban.plot import plot_metric, plot_paths
-from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes
+from jaxurban.plot import plot_breakpoint_routes, plot_metric, plot_paths
 
 city = ju.sample_city("lower-manhattan")
 plain = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0, 60.0))

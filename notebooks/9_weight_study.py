@@ -29,7 +29,7 @@ from pathlib import Path
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.studies.figures.sensitivity import plot_nearest, plot_regret
+from jaxurban.plot import plot_nearest, plot_regret
 
 maps = {
     name: ju.build_maps(

@@ -175,18 +175,27 @@ def _mission(plot, case: Case) -> Figure:
     return plot(_checked(case.is_hard))
 
 
+def _boxes(case: Case) -> ju.City:
+    """Return a city of sixty boxes, with a long credit where it is hard."""
+    corners = np.random.default_rng(3).uniform(0, 3000, (60, 2))
+    boxes = np.hstack([corners, corners + 120])
+    city = city_of_boxes(boxes, np.full(60, 30.0), 3400.0, make_maps().grid.bounds_m[:2])
+    return replace(city, attribution=CREDIT) if case.is_hard else city
+
+
+def _city(plot, case: Case) -> Figure:
+    return plot(_boxes(case))
+
+
 def _building_costs(plot, case: Case) -> Figure:
     maps = maps_for(case.is_hard)
     rng = np.random.default_rng(3)
-    corners = rng.uniform(0, 3000, (60, 2))
-    boxes = np.hstack([corners, corners + 120])
-    city = city_of_boxes(boxes, np.full(60, 30.0), 3400.0, maps.grid.bounds_m[:2])
     costs = rng.normal(size=60) * 10.0 ** rng.integers(-4, 2, 60)
     table = pd.DataFrame({"building": range(60), "per_metre": costs})
     table.attrs["softness_m"] = 2.0
     path = make_path(maps, "astar-plus")
     path.settings["weights"] = dict.fromkeys(case.pick(METRICS, LAYERS), 1.0)
-    return plot(replace(city, attribution=CREDIT) if case.is_hard else city, path, table, maps.grid)
+    return plot(_boxes(case), path, table, maps.grid)
 
 
 def _costs(plot, case: Case) -> Figure:
@@ -307,6 +316,7 @@ def _all_maps(plot, case: Case) -> Figure:
 
 PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
     "plot_building_costs": _building_costs,
+    "plot_city": _city,
     "plot_flown_heights": _mission,
     "plot_mission": _mission,
     "plot_return": _return,
@@ -331,7 +341,7 @@ PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
     "plot_nearest": _of_summary,
     "plot_regret": _of_summary,
     "plot_sky": _over_place,
-    "plot_routes": _imitated,
+    "plot_fitted_routes": _imitated,
     "plot_weights": _fitted,
     "plot_when": _when,
 }

@@ -14,6 +14,8 @@ from unittest.mock import patch
 import click
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban.cli.main import COMMANDS
@@ -184,6 +186,10 @@ def raster_city(**given: Any) -> ju.MetricMaps:
     )
 
 
+def texts_of(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(Text)]
+
+
 def demos(**given: Any) -> Any:
     return ju.fit.demonstrations(on.instances(), on.maps(), **given)
 
@@ -258,6 +264,7 @@ USES: dict[str, Callable[..., Any]] = {
     "MetricMaps.costs": lambda **given: on.maps().costs(20.0, **given),
     "MetricMaps.total": lambda **given: on.maps().total(20.0, **given),
     "MetricMaps.normalised": lambda **given: on.maps().normalised(20.0, **given),
+    "MetricMaps.plot": lambda **given: texts_of(on.maps().plot(**given)),
     "MetricMaps.save": lambda **given: sorted(
         each.name for each in (on.maps().save(on.a_file("maps"), **given) / "geotiff").iterdir()
     ),
@@ -462,6 +469,12 @@ TABLE: dict[str, dict[str, Any]] = {
     "MetricMaps.costs": MAP_OF,
     "MetricMaps.total": MAP_OF,
     "MetricMaps.normalised": MAP_OF,
+    "MetricMaps.plot": {
+        "name": "gps",
+        "altitude_m": 40.0,
+        "time": LATER,
+        "time_of_day": "night",
+    },
     "MetricMaps.save": {"layers": ("hdop",)},
     "PlannedPath.save": {
         "report": Case(lambda: ju.explain(on.path(), on.maps()), {"suffix": ".geojson"}),

@@ -32,7 +32,7 @@ import jaxurban as ju
 from jaxurban.cli.main import app
 from jaxurban.exit_codes import ExitCode
 from jaxurban.maps.scenario import Scenario
-from jaxurban.public import NAMESPACES
+from jaxurban.public import NAMESPACES, PICTURES
 from jaxurban.settings import Planning
 from jaxurban.terminal.common import GIVEN, MAPS_PATH
 from tests.cli_runs import run
@@ -348,7 +348,7 @@ def test_the_scenario_page_names_every_setting_with_its_default():
 def test_the_python_page_names_every_public_name():
     page = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
     table = [line for line in page.splitlines() if line.startswith("|")]
-    spaces = {name: getattr(ju, name) for name in NAMESPACES}
+    spaces = {name: getattr(ju, name) for name in (*NAMESPACES, PICTURES)}
     names = [
         *ju.__all__,
         *(f"{space}.{name}" for space, module in spaces.items() for name in module.__all__),

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.public import NAMESPACES
+from jaxurban.public import NAMESPACES, PICTURES
 
 MODULES = [ju, *(import_module(f"jaxurban.{name}") for name in NAMESPACES)]
 HOOKS = {
@@ -63,7 +63,7 @@ NAMES = [
     (name, getattr(module, name))
     for module in MODULES
     for name in module.__all__
-    if name not in NAMESPACES
+    if name not in (*NAMESPACES, PICTURES)
 ]
 PUBLIC = dict(member for name, thing in NAMES for member in members(name, thing))
 

@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from matplotlib.text import Text
 import jaxurban as ju
 from jaxurban.flights.export.write import write_path
 from jaxurban.plot import bare, plot_metric, plot_overview, plot_paths
-from jaxurban.public import NAMESPACES
+from jaxurban.public import NAMESPACES, PICTURES
 from tests.made_maps import made_maps
 
 MAPS = made_maps(24, 30)
@@ -178,7 +179,8 @@ def test_what_to_cite_names_the_version_and_ends_with_the_credit_of_the_data():
 
 
 def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
-    for module in (ju, *(getattr(ju, name) for name in NAMESPACES)):
+    spaces = {*NAMESPACES, PICTURES}
+    for module in (ju, *(getattr(ju, name) for name in spaces)):
         stub = ast.parse(Path(module.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
         seen = {
             name.asname
@@ -189,8 +191,31 @@ def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
         assert dir(module) == sorted(seen)
         found = {name: getattr(module, name) for name in dir(module)}
         assert all(thing.__name__.rpartition(".")[2] == name for name, thing in found.items())
-        assert {name for name, thing in found.items() if inspect.ismodule(thing)} <= {*NAMESPACES}
-    assert {*NAMESPACES} < {*dir(ju)}
+        assert {name for name, thing in found.items() if inspect.ismodule(thing)} <= spaces
+    assert spaces < {*dir(ju)}
+
+
+def test_functions_come_before_classes_in_what_is_public():
+    is_class = [inspect.isclass(getattr(ju, name)) for name in ju.__all__]
+    assert is_class == sorted(is_class)
+
+
+def test_values_lead_to_their_pictures_and_one_map_is_taken_by_its_name():
+    path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
+    whole = [panel.get_title("left") for panel in MAPS.plot().axes]
+    assert any("GPS quality" in title for title in whole)
+    assert len(MAPS.plot("gps", 20.0).axes) < len(whole)
+    assert any(path.search.planner in text.get_text() for text in path.plot().findobj(Text))
+    with pytest.raises(ju.InputError, match="names no maps to be drawn over"):
+        replace(path, maps=None).plot()
+    roofs, *_ = ju.demo_city(400, 400).plot().axes
+    assert "roofs above ground" in roofs.get_title("left")
+
+    np.testing.assert_array_equal(MAPS["gps"], MAPS.ds["gps"])
+    with pytest.raises(ju.InputError, match=r"hold no 'gsp' \(did you mean 'gps'\?\)"):
+        _ = MAPS["gsp"]
+    with pytest.raises(TypeError, match="not iterable"):
+        list(MAPS)
 
 
 def test_the_version_is_that_of_the_installed_package():

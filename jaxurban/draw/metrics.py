@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from jaxurban.checks import one_of
 from jaxurban.draw.frame import (
     CLOSED,
-    GUESSED_ROOF_COLOUR,
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
     DrawnMap,
@@ -587,40 +586,3 @@ def roof_layers(maps: MetricMaps) -> list[DrawnMap]:
     """Return roof heights as they are drawn, white where there is no roof."""
     roof_m = maps.m("roof")
     return layers_above_zero(roof_m, replace(metric_colours(maps, "roof", roof_m), label=""))
-
-
-def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
-    """Return roof heights above ground and, where it is not flat, the terrain's elevation.
-
-    Where maps know which roofs have a guessed height, a panel shows these.
-
-    Args:
-      maps: from `build_maps` or `open_maps`.
-      width: see `plot_metric`.
-    """
-    maps = as_maps(maps)
-    no_data = obstacle_patches(maps)[1:]  # these pictures show no obstacles
-    legend = [("no roof", EMPTY_COLOUR), *no_data]
-    roof_m = maps.m("roof")
-    _, highest_m = ends_of(roof_m)
-    panels = [MapPanel(f"roofs above ground, up to {highest_m:.0f} m", roof_layers(maps))]
-
-    if "terrain" in maps.ds:
-        terrain_m = maps.m("terrain")
-        low_m, high_m = ends_of(terrain_m)
-        ground = DrawnMap(terrain_m, replace(metric_colours(maps, "terrain", terrain_m), label=""))
-        panels.append(MapPanel(f"terrain, {low_m:.0f} to {high_m:.0f} m", [ground]))
-
-    if "roof_guessed" in maps.ds:
-        is_roof = roof_m > 0
-        is_guessed = maps.m("roof_guessed") & is_roof
-        share = precise_percent(is_guessed.sum() / max(is_roof.sum(), 1))
-        layers = [
-            flat_layer(roof_m == 0, EMPTY_COLOUR),
-            flat_layer(is_roof, OBSTACLE_COLOUR),
-            flat_layer(is_guessed, GUESSED_ROOF_COLOUR),
-        ]
-        panels.append(MapPanel(f"height guessed: {share} of roofs", layers))
-        legend.append(("height guessed", GUESSED_ROOF_COLOUR))
-    note = frame_note(maps, has_sky=False)
-    return draw_maps(maps.grid, panels, "Heights (m)", note, legend=legend, width=width)[0]

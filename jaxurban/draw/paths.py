@@ -26,6 +26,7 @@ from jaxurban.draw.frame import (
     rules_said,
     time_said,
 )
+from jaxurban.draw.heights import plot_heights
 from jaxurban.draw.metrics import (
     AVAILABILITY,
     EMPTY_COLOUR,
@@ -40,7 +41,6 @@ from jaxurban.draw.metrics import (
     obstacle_patches,
     plot_epochs,
     plot_gps_rating,
-    plot_heights,
     plot_metric,
     plot_obstacles,
     plot_population,
@@ -456,23 +456,26 @@ def legend_name(name: str) -> str:
 
 def plot_overview(
     maps: MapsLike,
-    paths: Paths,
+    paths: Paths = (),
     *,
     altitude_m: float | None = None,
     names: Sequence[str] | None = None,
+    time: str | None = None,
+    time_of_day: str | None = None,
     width: Width = "page",
 ) -> Figure:
     """Return one picture of a region: roof heights, the map of each metric, and paths over the cost.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
-      paths: one, several or a batch.
+      paths: one, several or a batch; none for the maps alone.
       altitude_m: one of the maps'; left out, the lowest of the paths', or the maps' first where there is none.
       names: what the paths are called, one after the other; left out, by their planners.
+      time, time_of_day: of the maps, where there is no path; the first if left out.
       width: see `plot_metric`.
 
     Raises:
-      InputError: an altitude that these maps do not hold, or another number of names than paths.
+      InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
     """
     # The first place at the altitude that paths were planned on, and the paths with a route there.
     maps = as_maps(maps)
@@ -481,7 +484,7 @@ def plot_overview(
     z = altitude_m
     if z is None:
         z = min((path.altitude_m for path in planned), default=maps.altitudes_m[0])
-    place = _places_at(maps, z, planned)[0]
+    place = _places_at(maps, z, planned, time, time_of_day)[0]
     _, time, time_of_day = place
     named = [each for each in named if each.place == place and each.path.status.has_path]
     drawn = [each.path for each in named]

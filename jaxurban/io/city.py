@@ -26,6 +26,8 @@ from jaxurban.world.kinds import ALL_KINDS, EFFECTS, PLANTS, KindName, Obstacles
 from jaxurban.world.raster import Raster
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from jaxurban.metrics.gps import Gps
     from jaxurban.metrics.population import Population
 
@@ -226,6 +228,19 @@ class City(FactsRepr):
         if self.terrain_extent_m is None:
             return self.known_area
         return shapely.intersection(self.known_area, shapely.box(*self.terrain_extent_m))
+
+    def plot(self) -> "Figure":
+        """Return a picture of its heights, and of those that are guessed, before any map is made.
+
+        Returns:
+          A Matplotlib figure, which a notebook shows.
+
+        Examples:
+          >>> city.plot().savefig("city.png")
+        """
+        from jaxurban import plot  # imported here: it brings Matplotlib
+
+        return plot.plot_city(self)
 
     @classmethod
     @typed

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from jaxurban import wings
-from jaxurban.checks import finite, typed
+from jaxurban.checks import finite, nearest_name, typed
 from jaxurban.errors import InputError
 from jaxurban.knowledge import Caution, Guesses, caution_of_guesses, guesses_from
 from jaxurban.maps.levels import around, index_of
@@ -27,6 +27,9 @@ from jaxurban.world.surface import stands_at
 
 if TYPE_CHECKING:
     import geopandas as gpd
+    from matplotlib.figure import Figure
+else:
+    Figure = Any  # `typed` looks hints up, and Matplotlib takes long to import
 
 OF_ROUTES = ("weights", "planning", "vehicle")  # sections of a scenario that its routes follow
 
@@ -88,7 +91,7 @@ class MetricMaps(FactsRepr):
     Examples:
       >>> maps.altitudes_m, maps.times, list(maps.metrics)
       ((20.0, 60.0), ('2020-04-27T16:00:00Z',), ['gps', 'lidar', 'population', 'risk'])
-      >>> maps.ds["gps"].dims, maps.ds["gps"].shape
+      >>> maps["gps"].dims, maps["gps"].shape  # of maps.ds, the dataset
       (('time', 'altitude', 'y', 'x'), (1, 2, 30, 30))
     """
 
@@ -241,6 +244,22 @@ class MetricMaps(FactsRepr):
         """The metrics of the cost in these maps by name, those that a user added too, in the order of the layers."""
         return held_metrics(self.ds)
 
+    __iter__ = None  # `maps["gps"]` is one map, and no sequence of them
+
+    @typed
+    def __getitem__(self, name: str) -> xr.DataArray:
+        """Return a variable at all altitudes and times with its coordinates; `m` returns one map, as an array.
+
+        Raises:
+          InputError: no such variable in these maps.
+        """
+        variable = self.variable(name)
+        if variable not in self.ds:
+            names = [*map(str, self.ds.data_vars)]
+            hint = nearest_name(name, names)
+            raise InputError(f"these maps hold no {name!r}{hint}: they hold {', '.join(names)}")
+        return self.ds[variable]
+
     @typed
     def m(
         self,
@@ -279,17 +298,13 @@ class MetricMaps(FactsRepr):
                 f"these maps hold {what} statistics over {len(self.times)} epochs and no map of {time}: leave time out "
                 f'(it is then the {kept}), or make them with [gps] series = "epochs"'
             )
-        if variable not in self.ds:
-            raise InputError(
-                f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}"
-            )
+        values = self[name].variable  # without coordinates, which xarray would cut too
         utc_time = None if time is None else iso_utc(time)
         index = {
             "altitude": index_of("altitude", altitude_m, self.altitudes_m),
             "time": index_of("time", utc_time, self.times),
             "time_of_day": index_of("time of day", time_of_day, self.times_of_day),
         }
-        values = self.ds[variable].variable  # without coordinates, which xarray would cut too
         return values.isel(index, missing_dims="ignore").values
 
     def variable(self, name: str) -> str:
@@ -457,6 +472,43 @@ class MetricMaps(FactsRepr):
           (0.89, 0.98)
         """
         return self.m("gps", altitude_m, time=time) > self.m("lidar", altitude_m)
+
+    @typed
+    def plot(
+        self,
+        name: str | None = None,
+        altitude_m: float | None = None,
+        *,
+        time: str | None = None,
+        time_of_day: str | None = None,
+    ) -> Figure:
+        """Return a picture of one map, or of heights, all metrics and the cost: `jaxurban.plot` has all pictures.
+
+        Args:
+          name: a variable, as for `m`; left out, the overview.
+          altitude_m: one of `altitudes_m`; left out, a panel for each, and in the overview the first.
+          time: one of `times`; the first if left out.
+          time_of_day: one of `times_of_day`; left out, a panel for each, and in the overview the first.
+
+        Returns:
+          A Matplotlib figure, which a notebook shows.
+
+        Raises:
+          InputError: no such map, altitude, time or time of day in these maps.
+
+        Examples:
+          >>> maps.plot("gps", 60).savefig("gps.png")
+          >>> maps.plot().savefig("overview.png")
+        """
+        from jaxurban import plot  # imported here: it brings Matplotlib
+
+        if name is None:
+            return plot.plot_overview(
+                self, altitude_m=altitude_m, time=time, time_of_day=time_of_day
+            )
+        return plot.plot_metric(
+            self, name, altitude_m=altitude_m, time=time, time_of_day=time_of_day
+        )
 
     @typed
     def save(self, folder: str | Path, *, layers: Sequence[str] = ()) -> Path:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path as FilePath
 from pkgutil import resolve_name
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from jaxurban.paths.route_report import RouteReport
 from jaxurban.planners.base import Path, Status
 from jaxurban.public import FactsRepr
 from jaxurban.settings import MissionEnd
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 OF_SEARCH = ("graph", "num_expanded", "elapsed_s", "setup_s", "planner", "heuristic", "backend")
 
@@ -153,6 +156,26 @@ class PlannedPath(FactsRepr):
         write = resolve_name("jaxurban.flights.export.write:write_files")
         write(self, files, report, end=end, fence_roofs_m=fence_roofs_m, from_roof=from_roof)
         return files[0]
+
+    def plot(self) -> "Figure":
+        """Return a picture of the path over the cost of the maps that it was planned on; `jaxurban.plot` draws several.
+
+        Returns:
+          A Matplotlib figure, which a notebook shows.
+
+        Raises:
+          InputError: a path made by hand, which names no maps.
+
+        Examples:
+          >>> path.plot().savefig("path.png")
+        """
+        from jaxurban import plot  # imported here: it brings Matplotlib
+
+        if self.maps is None:
+            raise InputError(
+                "the path names no maps to be drawn over: give them, as in ju.plot.plot_paths(maps, [path])"
+            )
+        return plot.plot_paths(self.maps, [self])
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the points' arrays as plain, JSON-ready values.

@@ -53,7 +53,7 @@ def plot_weights(fit: WeightFit) -> Figure:
     return figure
 
 
-def plot_routes(
+def plot_fitted_routes(
     demonstrations: Sequence[Demonstration],
     planned: Sequence[Demonstration],
     cost_map: CostMap,

@@ -35,7 +35,7 @@ from jaxurban.studies.demonstrations import (
     compared_demonstrations,
     optimal_demonstrations,
 )
-from jaxurban.studies.figures.tuning import plot_routes, plot_weights
+from jaxurban.studies.figures.tuning import plot_fitted_routes, plot_weights
 from jaxurban.studies.montecarlo.sampling import sample_instances
 from jaxurban.studies.queries import command_to_plan, maps_of, weights_option
 from jaxurban.studies.route_pool import FitSettings
@@ -262,7 +262,7 @@ def fit_report(
     weights = weights.assign(unit=weights["name"].map(units))
     others |= {"weights": weights, "examples": routes, WEIGHTS_FILE: weights_toml(fit, first)}
     for name, cost_map in pictures.items():
-        figures[name] = partial(plot_routes, demonstrated, planned, cost_map, vector, noun)
+        figures[name] = partial(plot_fitted_routes, demonstrated, planned, cost_map, vector, noun)
     setting = _setting([*pictures.values()])
     fields |= {
         "tables": tables | {"weights": weights, "setting": setting, "means": _means(routes)},
