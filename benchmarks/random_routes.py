@@ -41,6 +41,7 @@ from jaxurban.paths.explain import explain
 from jaxurban.paths.finish import simplify
 from jaxurban.paths.places import XY
 from jaxurban.planners.registry import PLANNERS
+from jaxurban.typing import PlannedPath
 from jaxurban.world.footprints import Footprints
 from tests.free_space import Obstacles
 
@@ -175,7 +176,7 @@ class Judge:
     reader: Any
     folder: Path
 
-    def written(self, path: ju.PlannedPath) -> dict[str, float]:
+    def written(self, path: PlannedPath) -> dict[str, float]:
         """Return how near the files of a path come to outlines and roofs, read straight in metres and in degrees."""
         found = {}
         for suffix, read in READERS.items():
@@ -197,7 +198,7 @@ class Judge:
         }
 
     def mission(
-        self, on: CostMap, closed: Closed, planned: ju.PlannedPath, end: str
+        self, on: CostMap, closed: Closed, planned: PlannedPath, end: str
     ) -> dict[str, float]:
         """Return what the simplified route's mission is like, by its file."""
         simple, file = simplify(planned, on, on.grid.resolution_m / 2), self.folder / "mission.plan"
@@ -221,9 +222,7 @@ class Judge:
             "read equal": np.nan if self.reader is None else not self.reader.differences(file),
         }
 
-    def row(
-        self, on: CostMap, closed: Closed, planned: ju.PlannedPath, end: str
-    ) -> dict[str, float]:
+    def row(self, on: CostMap, closed: Closed, planned: PlannedPath, end: str) -> dict[str, float]:
         """Return all that is measured of a route."""
         if not planned.status.has_path:
             return {"length_m": np.inf, "cost": np.inf}

@@ -1,6 +1,5 @@
 from jaxurban.maps.at_once import all_maps as all_maps
 from jaxurban.maps.build import map_inputs as map_inputs
-from jaxurban.maps.differentiable import SoftCity as SoftCity
 from jaxurban.maps.differentiable import SoftParams as SoftParams
 from jaxurban.maps.differentiable import soft_city as soft_city
 from jaxurban.metrics.reception import ReceptionCurve as ReceptionCurve

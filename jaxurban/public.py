@@ -17,6 +17,7 @@ from jaxurban.knowledge import Caution, caution_lines
 # Modules of the package whose names are public too.
 NAMESPACES = ("fit", "grad", "metrics", "studies")
 PICTURES = "plot"  # the module of all functions that draw
+TYPES = "typing"  # of classes that functions return, which completion leaves out
 Function = TypeVar("Function", bound=Callable)
 LEAST_ALIKE = 0.66  # as two letters of three are
 
@@ -65,10 +66,10 @@ def _elsewhere(name: str) -> str:
 
 
 def _public_homes() -> dict[str, str]:
-    """Return the module of each public name: the package, one of its namespaces, or that of pictures."""
+    """Return the module of each public name: the package or one of its modules."""
     package = __name__.rpartition(".")[0]
     homes: dict[str, str] = {}
-    spaces = (*NAMESPACES, PICTURES)
+    spaces = (*NAMESPACES, PICTURES, TYPES)
     for home in (package, *(f"{package}.{each}" for each in spaces)):
         homes |= dict.fromkeys(import_module(home).__all__, home)
     return {name: home for name, home in homes.items() if name not in spaces}

@@ -43,6 +43,7 @@ from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bulk import solve_batched
 from jaxurban.plot import plot_paths
 from jaxurban.settings import PlannerName
+from jaxurban.typing import PlannedPath
 
 city = ju.sample_city("shinjuku")
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(30.0,))
@@ -57,7 +58,7 @@ planners: tuple[PlannerName, ...] = (
     "bitstar-plus",
     "theta-star",
 )
-paths: dict[str, ju.PlannedPath] = {
+paths: dict[str, PlannedPath] = {
     name: weighted.plan(*ends, planner=name, budget_s=2.0, snap=True) for name in planners
 }
 

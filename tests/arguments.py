@@ -17,6 +17,7 @@ import xarray as xr
 
 import jaxurban as ju
 from jaxurban.maps.run import run_scenario
+from jaxurban.typing import CostMap, Demonstration, Departures, PlannedPath, PlannedPaths
 from tests.cli_runs import TOWN
 
 NOON, LATER = "2020-04-27T16:00:00Z", "2020-04-27T21:00:00Z"
@@ -131,13 +132,13 @@ def city() -> ju.City:
 
 
 @functools.cache
-def path() -> ju.PlannedPath:
+def path() -> PlannedPath:
     """Return a path that a mission can fly, from the ground to the ground."""
     return ju.plan(maps(), START, GOAL, altitude_m=20.0, snap=True, on_ground=True)
 
 
 @functools.cache
-def on() -> ju.CostMap:
+def on() -> CostMap:
     return ju.cost_map(maps(), 20.0)
 
 
@@ -147,7 +148,7 @@ def instances() -> pd.DataFrame:
 
 
 @functools.cache
-def routes() -> list[ju.fit.Demonstration]:
+def routes() -> list[Demonstration]:
     return ju.fit.demonstrations(instances(), maps(), altitude_m=60.0)
 
 
@@ -206,13 +207,13 @@ def read(buildings: Any = None, **given: Any) -> tuple[ju.City, ju.MetricMaps]:
     return of, ju.build_maps(of, resolution_m=20.0, altitudes_m=(10.0,), progress=False)
 
 
-def planned(**given: Any) -> ju.PlannedPath:
+def planned(**given: Any) -> PlannedPath:
     usual: dict[str, Any] = {"start": START, "goal": GOAL, "altitude_m": 20.0, "snap": True}
     usual |= {"budget_s": 60.0}
     return ju.plan(given.pop("maps", maps()), **usual | given)
 
 
-def with_limits(**given: Any) -> ju.PlannedPath:
+def with_limits(**given: Any) -> PlannedPath:
     return planned(constraints=ju.Constraints(**given))
 
 
@@ -228,7 +229,7 @@ def flown(**given: Any) -> Any:
     return climb, ju.explain(climb, maps())
 
 
-def under(**planning: Any) -> ju.PlannedPath:
+def under(**planning: Any) -> PlannedPath:
     """Return a path over maps whose scenario has a section of planning."""
     recorded = {"planning": vars(ju.Planning(**planning))}
     return ju.plan(maps().with_recorded(recorded), START, GOAL, altitude_m=20.0, snap=True)
@@ -251,13 +252,13 @@ def soft(params: ju.grad.SoftParams, **given: Any) -> Any:
     return made_soft.names, made_soft.layers(made_soft.height_m, params)
 
 
-def many(**given: Any) -> ju.PlannedPaths:
+def many(**given: Any) -> PlannedPaths:
     usual: dict[str, Any] = {"altitude_m": 20.0, "snap": True, "progress": False, "budget_s": 60.0}
     queries = given.pop("queries", [(START, GOAL), (GOAL, START)])
     return ju.plan_many(maps(), queries, **usual | given)
 
 
-def at_times(**given: Any) -> ju.Departures:
+def at_times(**given: Any) -> Departures:
     usual: dict[str, Any] = {"altitude_m": 20.0, "snap": True, "progress": False, "budget_s": 60.0}
     return ju.when(maps(), [(START, GOAL)], **usual | given)
 

@@ -22,6 +22,7 @@ import jaxurban as ju
 from jaxurban.draw.style import Width
 from jaxurban.knowledge import Guess, GuessKind
 from jaxurban.studies.weights.breakpoints import Partition
+from jaxurban.typing import PlannedPath
 from tests.draw.test_figures import at_epochs, make_maps, make_path, make_paths
 from tests.draw.test_legible import agreement, crowded
 from tests.guess_records import FLAT, NOMINAL, attribute, heights
@@ -125,7 +126,7 @@ def _overview(plot, case: Case) -> Figure:
 
 
 @cache
-def _flown(is_hard: bool) -> tuple[ju.PlannedPath, ju.MetricMaps]:
+def _flown(is_hard: bool) -> tuple[PlannedPath, ju.MetricMaps]:
     maps = maps_of_kinds()[0] if is_hard else made_maps(40, 40)
     ends = maps.grid.lonlat_of_cell(1, 1), maps.grid.lonlat_of_cell(38, 38)
     return ju.plan(maps, *ends, altitude_m=maps.altitudes_m[0], snap=True), maps

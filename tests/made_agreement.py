@@ -10,11 +10,12 @@ from jaxurban.maps.run import scenario_grid
 from jaxurban.receivers.validation.agreement import PlaceSky
 from jaxurban.receivers.validation.drive import drive_track
 from jaxurban.receivers.validation.logs import ReceiverLog
+from jaxurban.typing import ReceiverValidation
 from tests.receivers.receiver_logs import drive, scenario
 
 
 @cache
-def made() -> ju.studies.ReceiverValidation:
+def made() -> ReceiverValidation:
     """Return a validation with a known number in each field, along the first 60 epochs of the drive."""
     rng = np.random.default_rng(7)
     names = ["G01", "G02", "E03", "E04", "C05", "R06"]
@@ -65,7 +66,7 @@ def made() -> ju.studies.ReceiverValidation:
     there = rows[rows.epoch == 30][columns].reset_index(drop=True)
     place = start.lon_deg, start.lat_deg, start.utc.isoformat(), np.linspace(5, 60, 360), there
     left_out = {"E18": "unhealthy"}
-    return ju.studies.ReceiverValidation(
+    return ReceiverValidation(
         log=ReceiverLog("log.csv", drive(), rows[columns[:4]].assign(epoch=rows.epoch), left_out),
         settings=ju.studies.ReceiverSettings(),
         scenario=scenario().model_dump(mode="json"),

@@ -8,6 +8,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.maps.run import load_city, scenario_grid
+from jaxurban.typing import ReceiverValidation
 from tests.receivers.receiver_logs import drive, scenario
 
 ANTENNA_M = 2.0
@@ -61,5 +62,5 @@ def heard() -> pd.DataFrame:
 
 
 @cache
-def found() -> ju.studies.ReceiverValidation:
+def found() -> ReceiverValidation:
     return ju.studies.validate(scenario(), heard(), progress=False)

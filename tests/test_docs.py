@@ -17,6 +17,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -32,7 +33,7 @@ import jaxurban as ju
 from jaxurban.cli.main import app
 from jaxurban.exit_codes import ExitCode
 from jaxurban.maps.scenario import Scenario
-from jaxurban.public import NAMESPACES, PICTURES
+from jaxurban.public import NAMESPACES, PICTURES, TYPES
 from jaxurban.settings import Planning
 from jaxurban.terminal.common import GIVEN, MAPS_PATH
 from tests.cli_runs import run
@@ -348,7 +349,8 @@ def test_the_scenario_page_names_every_setting_with_its_default():
 def test_the_python_page_names_every_public_name():
     page = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
     table = [line for line in page.splitlines() if line.startswith("|")]
-    spaces = {name: getattr(ju, name) for name in (*NAMESPACES, PICTURES)}
+    modules = (*NAMESPACES, PICTURES, TYPES)
+    spaces = {name: import_module(f"jaxurban.{name}") for name in modules}
     names = [
         *ju.__all__,
         *(f"{space}.{name}" for space, module in spaces.items() for name in module.__all__),

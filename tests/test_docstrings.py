@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.public import NAMESPACES, PICTURES
+from jaxurban.public import NAMESPACES, PICTURES, TYPES
 
-MODULES = [ju, *(import_module(f"jaxurban.{name}") for name in NAMESPACES)]
+MODULES = [ju, *(import_module(f"jaxurban.{name}") for name in (*NAMESPACES, TYPES))]
 HOOKS = {
     "model_post_init",
     "tree_flatten_with_keys",

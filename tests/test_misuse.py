@@ -20,7 +20,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.metrics.registry import known_metrics
-from jaxurban.public import NAMESPACES, PICTURES, find_public
+from jaxurban.public import NAMESPACES, PICTURES, TYPES, find_public
 from tests.made_maps import made_maps
 
 MAPS = made_maps(24, 30)
@@ -281,7 +281,7 @@ WRONG_BY_TYPE = {"float": 1e300, "Literal": "none such"}  # of all other paramet
 def public() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Yield every public function, constructor, class method and method of what functions return, by its name."""
     modules = {*NAMESPACES, PICTURES}
-    spaces = [ju, *(getattr(ju, name) for name in NAMESPACES)]
+    spaces = [ju, *(importlib.import_module(f"jaxurban.{name}") for name in (*NAMESPACES, TYPES))]
     for name in [name for space in spaces for name in space.__all__ if name not in modules]:
         thing = find_public(name)
         if not inspect.isclass(thing) or name not in MADE:

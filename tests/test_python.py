@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,7 +21,8 @@ from matplotlib.text import Text
 import jaxurban as ju
 from jaxurban.flights.export.write import write_path
 from jaxurban.plot import bare, plot_metric, plot_overview, plot_paths
-from jaxurban.public import NAMESPACES, PICTURES
+from jaxurban.public import NAMESPACES, PICTURES, TYPES
+from jaxurban.typing import PlannedPaths
 from tests.made_maps import made_maps
 
 MAPS = made_maps(24, 30)
@@ -29,7 +31,7 @@ START, GOAL = (MAPS.grid.lonlat_of_cell(*FREE[at]) for at in (0, -1))
 
 
 @pytest.fixture(scope="module")
-def paths() -> ju.PlannedPaths:
+def paths() -> PlannedPaths:
     pairs = [(START, GOAL), (GOAL, START), (START, (0.0, 0.0))]
     return ju.plan_many(MAPS, pairs, altitude_m=20.0, weights={"risk": 5}, progress=False)
 
@@ -180,7 +182,7 @@ def test_what_to_cite_names_the_version_and_ends_with_the_credit_of_the_data():
 
 def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
     spaces = {*NAMESPACES, PICTURES}
-    for module in (ju, *(getattr(ju, name) for name in spaces)):
+    for module in (ju, *(import_module(f"jaxurban.{name}") for name in {*spaces, TYPES})):
         stub = ast.parse(Path(module.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
         seen = {
             name.asname
@@ -193,6 +195,16 @@ def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
         assert all(thing.__name__.rpartition(".")[2] == name for name, thing in found.items())
         assert {name for name, thing in found.items() if inspect.ismodule(thing)} <= spaces
     assert spaces < {*dir(ju)}
+    assert TYPES not in dir(ju)
+
+
+def test_at_most_70_names_are_public_beside_pictures():
+    modules = {*NAMESPACES, PICTURES}
+    names = [name for name in ju.__all__ if name not in modules]
+    for space in NAMESPACES:
+        names += getattr(ju, space).__all__
+    assert len(names) <= 70, sorted(names)
+    assert not {*names} & {*import_module("jaxurban.typing").__all__}
 
 
 def test_functions_come_before_classes_in_what_is_public():

@@ -22,6 +22,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.settings import differentiable
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.plot import plot_metric, plot_overview, plot_paths
+from jaxurban.typing import PlannedPath
 from jaxurban.viewer.layers import layers_of
 from tests import tiled_runs
 from tests.made_maps import made_maps
@@ -117,7 +118,7 @@ def ends(maps):
 
 
 @pytest.fixture
-def path(maps, ends) -> ju.PlannedPath:
+def path(maps, ends) -> PlannedPath:
     return ju.plan(maps, *ends, altitude_m=ALTITUDE_M, weights=WEIGHTS)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 import jaxurban as ju
 from jaxurban.planners.base import Path, Status
+from jaxurban.typing import PlannedPath
 
 REGION = {
     "region": {"bounds": (-74.02, 40.70, -73.98, 40.73)},
@@ -15,7 +16,7 @@ LEVELS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "des
 
 def plan_volume(
     maps, *, start_xy_m, goal_xy_m, start_altitude_m=None, goal_altitude_m=None, **options
-) -> ju.PlannedPath:
+) -> PlannedPath:
     """Return the path of `ju.plan` between levels; options are those of `ju.Levels` and of `ju.plan`."""
     levels = ju.Levels(**{name: options.pop(name) for name in LEVELS if name in options})
     ends = {
@@ -49,7 +50,7 @@ def with_roofs(maps, roof_m, **more) -> ju.MetricMaps:
 
 def made_path(
     grid, xy_m, altitude_m=60.0, status=Status.OPTIMAL, planner="astar-plus", note="", **changed
-) -> ju.PlannedPath:
+) -> PlannedPath:
     """Return a path that nobody planned, whose altitudes are one or ``[N]``; without one it has no points."""
     xy_m = np.asarray(xy_m, float) if status.has_path else np.empty((0, 2))
     z_m = np.array(np.broadcast_to(altitude_m, len(xy_m)), float)
@@ -70,6 +71,6 @@ def made_path(
     }
     made["search"] = Path(status, xy_m, 1.0, -np.inf, 1, 0.1, planner, note=note)
     first_m = float(np.ravel(altitude_m)[0])
-    return ju.PlannedPath(
+    return PlannedPath(
         status=status, xy_m=xy_m, z_m=z_m, altitude_m=first_m, **(sums | made | changed)
     )

@@ -28,7 +28,7 @@ class FreeSpace:
     ``Y`` rows, ``X`` columns, ``K`` levels, on one altitude 1.
 
     Attributes:
-      maps, altitudes_m, constraints, is_free: as of `jaxurban.CostMap`.
+      maps, altitudes_m, constraints, is_free: as of `jaxurban.paths.cost_map.CostMap`.
       when: time and time of day, as arguments.
       cuts_corners: whether a free cell joins those that it touches with a corner.
 

@@ -1,16 +1,11 @@
 from jaxurban.maps.scenario import Study as Study
 from jaxurban.paths.rows import MapsFolder as MapsFolder
 from jaxurban.receivers.validation.settings import ReceiverSettings as ReceiverSettings
-from jaxurban.receivers.validation.validate import ReceiverValidation as ReceiverValidation
 from jaxurban.receivers.validation.validate import validate as validate
-from jaxurban.studies.map_comparison import MapComparison as MapComparison
 from jaxurban.studies.map_comparison import compare as compare
 from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances
-from jaxurban.studies.montecarlo.study import BenchmarkResult as BenchmarkResult
 from jaxurban.studies.montecarlo.study import study as study
 from jaxurban.studies.queries import make_queries as make_queries
 from jaxurban.studies.reports.run_sensitivity import sensitivity as sensitivity
-from jaxurban.studies.reports.sensitivity import Sensitivity as Sensitivity
 from jaxurban.studies.weights.buildings import building_costs as building_costs
-from jaxurban.studies.weights.one_route import OneRoute as OneRoute
 from jaxurban.studies.weights.settings import SensitivitySettings as SensitivitySettings

@@ -11,7 +11,6 @@ import pytest
 import shapely
 from scipy.interpolate import RegularGridInterpolator
 
-import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.cli.plan import plan_command
 from jaxurban.flights.export.qgc_plan import height_note
@@ -20,6 +19,7 @@ from jaxurban.io.zone import Zone
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.ground import elevation_at, ground_along
 from jaxurban.planners.base import Status
+from jaxurban.typing import PlannedPath
 from jaxurban.world.grid import Grid
 from tests.mavlink import mission_reader
 from tests.volumes import made_path
@@ -444,5 +444,5 @@ def test_texts_name_every_format():
     guide = (Path(__file__).parents[2] / "docs/guides/routes.md").read_text(encoding="utf-8")
     for suffix in FORMATS:
         assert suffix in option.help
-        assert f"``{suffix}``" in ju.PlannedPath.save.__doc__
+        assert f"``{suffix}``" in PlannedPath.save.__doc__
         assert f"| `{suffix}` |" in guide

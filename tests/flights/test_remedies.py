@@ -11,6 +11,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.flights.missions.parts import Leg, Mission, Place
 from jaxurban.io.city import City
+from jaxurban.typing import MissionCheck
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from tests.flights.test_check import (
     CLEARANCE_M,
@@ -43,7 +44,7 @@ def place(maps: ju.MetricMaps, x_m: float, y_m: float, height_m: float) -> Place
     return Place(float(lon), float(lat), height_m, "ground")
 
 
-def flown(maps, city, *places: Place, **more) -> ju.MissionCheck:
+def flown(maps, city, *places: Place, **more) -> MissionCheck:
     """Return the check of a mission through places."""
     legs = tuple(Leg(*pair, "leg", number) for number, pair in enumerate(pairwise(places), 1))
     mission = Mission("made", legs, places[0][:2], None, (), None)

@@ -16,6 +16,7 @@ from jaxurban.paths.queries import LONLAT
 from jaxurban.paths.search import PathSearch
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import solve_many
+from jaxurban.typing import CostMap
 
 METRES = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
 
@@ -130,7 +131,7 @@ def test_keywords_that_functions_pass_on_are_those_of_a_cost_map_and_a_search():
     studies = (ju.studies.study, ju.studies.sample_instances, ju.fit.demonstrations)
     for function in studies:
         assert {*RulesChoice.__annotations__} < {*inspect.signature(function).parameters}
-    for function in (ju.plan, ju.plan_many, ju.when, ju.cost_to_go, ju.CostMap.plan, *studies):
+    for function in (ju.plan, ju.plan_many, ju.when, ju.cost_to_go, CostMap.plan, *studies):
         parameters = inspect.signature(function).parameters.values()
         assert not any(each.kind is each.VAR_KEYWORD for each in parameters)
         assert ... in {each.default for each in parameters}

@@ -10,6 +10,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.flights.export.write import FORMATS
+from jaxurban.typing import PlannedPath
 from tests.cli_runs import run
 from tests.guess_records import NOMINAL, attribute, heights
 from tests.made_maps import made_maps
@@ -44,7 +45,7 @@ def levels_of(path, maps) -> dict[str, str]:
     return {line.split(":")[0]: line.level for line in ju.cautions(path, maps)}
 
 
-def straight(maps, first=10, last=90, **options) -> ju.PlannedPath:
+def straight(maps, first=10, last=90, **options) -> PlannedPath:
     """Return the path due east along the middle row, from the middle of one cell to that of another."""
     ends = ends_at(maps, (ROW, first), (ROW, last))
     return ju.plan(maps, **ends, altitude_m=ALTITUDE_M, objective="distance", **options)

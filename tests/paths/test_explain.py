@@ -23,6 +23,7 @@ from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
 from jaxurban.paths.steps import between
 from jaxurban.planners.cost import path_states
 from jaxurban.plot import plot_profile, save_profile
+from jaxurban.typing import PlannedPath, RouteReport
 from jaxurban.world.kinds import CODES
 from tests.cli_runs import run
 from tests.made_maps import missing_inside
@@ -35,7 +36,7 @@ OBSTACLES = np.random.default_rng(3).random((30, 40)) < 0.08
 RES = 5.0
 
 
-def route(maps, ends, **settings) -> ju.PlannedPath:
+def route(maps, ends, **settings) -> PlannedPath:
     return ju.plan(
         maps,
         **ends,
@@ -43,7 +44,7 @@ def route(maps, ends, **settings) -> ju.PlannedPath:
     )
 
 
-def of_one_place(maps, ends, **settings) -> ju.PlannedPath:
+def of_one_place(maps, ends, **settings) -> PlannedPath:
     return route(
         maps, {"start_xy_m": ends["start_xy_m"], "goal_xy_m": ends["start_xy_m"]}, **settings
     )
@@ -64,12 +65,12 @@ def assert_costs_of(path, report) -> None:
 
 
 @pytest.fixture(scope="module")
-def planned(maps, ends) -> ju.PlannedPath:
+def planned(maps, ends) -> PlannedPath:
     return route(maps, ends)
 
 
 @pytest.fixture(scope="module")
-def report(planned, maps) -> ju.RouteReport:
+def report(planned, maps) -> RouteReport:
     return ju.explain(planned, maps, speed_m_s=12.5, swath_m=8.0)
 
 

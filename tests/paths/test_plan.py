@@ -11,6 +11,7 @@ from jaxurban import progress
 from jaxurban.draw.metrics import obstacle_layer
 from jaxurban.planners.base import EVERY_PATH, Status
 from jaxurban.planners.corners import corner_bound
+from jaxurban.typing import CostMap
 from tests.volumes import WEIGHTS
 
 NOTHING = ju.Weights(**dict.fromkeys(WEIGHTS.to_dict(), 0.0))
@@ -174,7 +175,7 @@ def test_a_path_flies_there_and_says_what_its_metrics_are(maps, ends, planner, t
 
 
 @pytest.fixture(scope="module")
-def shortest(town) -> ju.CostMap:
+def shortest(town) -> CostMap:
     """Many routes are as short as the shortest."""
     return ju.cost_map(town, 20.0, objective="distance")
 

@@ -11,6 +11,7 @@ import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.io.zone import Zone
 from jaxurban.planners.base import Status
+from jaxurban.typing import CostMap
 from tests.cli_runs import run
 from tests.free_space import Obstacles
 from tests.made_maps import made_maps
@@ -29,7 +30,7 @@ def ends_of(maps):
     return ju.XY(*maps.grid.xy_of_cell(*free[10])), ju.XY(*maps.grid.xy_of_cell(*free[-10]))
 
 
-def obstacles(on: ju.CostMap) -> Obstacles:
+def obstacles(on: CostMap) -> Obstacles:
     return Obstacles(on.is_free, on.grid.resolution_m, on.grid.x_min_m, on.grid.y_min_m)
 
 

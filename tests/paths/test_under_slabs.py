@@ -11,6 +11,7 @@ from jaxurban.maps.task import MapTask
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.paths.clearance import closed_by_clearance
 from jaxurban.settings import TO_GROUND
+from jaxurban.typing import PlannedPath
 from jaxurban.world.grid import Grid
 from tests.hanging_city import CRS, DECK, DECK_TOP_M, HANGING, STANDING, X_M, Y_M, city
 from tests.tiled_runs import sky
@@ -35,7 +36,7 @@ def maps() -> ju.MetricMaps:
     return made("slabs")
 
 
-def in_buildings(path: ju.PlannedPath, rule: str) -> bool:
+def in_buildings(path: PlannedPath, rule: str) -> bool:
     """Whether a path is in a prism anywhere: a true one or, under the rule of centres, one less its outermost cells."""
     within_m = 0.0 if rule == "touched" else REGION.resolution_m / 2**0.5
     number = np.arange(len(path.xy_m))

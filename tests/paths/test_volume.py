@@ -10,6 +10,7 @@ import jaxurban as ju
 from benchmarks.random_routes import READERS
 from jaxurban.io.zone import Zone
 from jaxurban.planners.base import Status
+from jaxurban.typing import PlannedPath
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.volumes import WEIGHTS, ends_at, options_of, plan_volume
@@ -155,7 +156,7 @@ def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():
     free = np.argwhere(maps.is_free(20.0))
     ends = ends_at(maps, *(free[free[:, 1] == col][0] for col in (5, 95)))
 
-    def planned(ceiling_m: float, **changed) -> ju.PlannedPath:
+    def planned(ceiling_m: float, **changed) -> PlannedPath:
         constraints = ju.Constraints((Zone("wall", wall, maps.grid.crs, 0.0, ceiling_m, "made"),))
         given = ends | {"start_altitude_m": 20.0, "goal_altitude_m": 20.0} | changed
         return plan_volume(maps, constraints=constraints, **given)

@@ -10,6 +10,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.plot import plot_when
+from jaxurban.typing import Departures, PlannedPath, RouteReport
 from tests.cli_runs import run
 from tests.guess_records import FLAT, attribute
 
@@ -38,17 +39,17 @@ def pairs(maps) -> list:
 
 
 @pytest.fixture(scope="module")
-def departures(maps, pairs) -> ju.Departures:
+def departures(maps, pairs) -> Departures:
     return ju.when(maps, pairs, altitude_m=ALTITUDE_M, progress=False)
 
 
-def cost_at(path: ju.PlannedPath, maps: ju.MetricMaps, time: str, day: str) -> float:
+def cost_at(path: PlannedPath, maps: ju.MetricMaps, time: str, day: str) -> float:
     """Return what a route costs at another time."""
     on = ju.cost_map(maps, ALTITUDE_M, time=time, time_of_day=day)
     return on.problem.features(path.search.points_m).cost(on.weight_vector)
 
 
-def longest_m(report: ju.RouteReport) -> float:
+def longest_m(report: RouteReport) -> float:
     """Return the longest stretch of cells whose HDOP is infinite."""
     rows = report.profile.to_dict("records")
     stretches = [
@@ -104,7 +105,7 @@ def test_of_times_that_cost_the_same_but_for_rounding_the_first_is_the_best(maps
     assert departures.best == 0
     assert [*departures.table["above_best"]] == [0.0, 0.0, 0.0]
     table = departures.table.assign(cost=departures.table["cost"] * [1 + 1e-14, 1, 1 + 1e-14])
-    assert ju.Departures(table, departures.routes, departures.paths).best == 0
+    assert Departures(table, departures.routes, departures.paths).best == 0
 
 
 def test_the_cautions_are_of_the_routes_at_the_best_time(maps, pairs):

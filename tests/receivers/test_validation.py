@@ -15,13 +15,14 @@ from jaxurban.maps.run import load_city, scenario_grid
 from jaxurban.receivers.validation import drive
 from jaxurban.receivers.validation.scores import aucs, drawn_blocks, levels_of
 from jaxurban.receivers.walk import LegSurface
+from jaxurban.typing import ReceiverValidation
 from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
 from tests.receivers.receiver_logs import scenario
 from tests.satellite_logs import found, heard, hidden_by_outlines
 
 
-def validated(log: pd.DataFrame, **settings) -> ju.studies.ReceiverValidation:
+def validated(log: pd.DataFrame, **settings) -> ReceiverValidation:
     chosen = ju.studies.ReceiverSettings(**settings)
     return ju.studies.validate(scenario(), log, chosen, progress=False)
 

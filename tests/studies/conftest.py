@@ -8,6 +8,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.queries import RouteQuery
+from jaxurban.typing import Sensitivity
 from tests.made_maps import made_maps
 from tests.studies.routes_made import HIDDEN, NUM, made_queries, run_study, small_maps, with_noise
 
@@ -33,7 +34,7 @@ def study(folders, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def weight_study(folders, tmp_path_factory) -> ju.studies.Sensitivity:
+def weight_study(folders, tmp_path_factory) -> Sensitivity:
     return run_study("weight_study", folders, tmp_path_factory.mktemp("weights"))
 
 

@@ -18,6 +18,7 @@ from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_break
 from jaxurban.studies.weights.one_route import SAME_WAY
 from jaxurban.studies.weights.paid import paid_on
 from jaxurban.studies.weights.sobol import FEW_SAMPLES, sobol_indices, sobol_of_weights
+from jaxurban.typing import CostMap, PlannedPath, Sensitivity
 from tests.cli_runs import run
 from tests.pictures import faults
 from tests.studies.routes_made import walled
@@ -233,7 +234,7 @@ def test_indices_of_weights_come_with_intervals_and_take_n_times_factors_plus_2_
 
 
 @pytest.fixture(scope="module")
-def found(crossed, ends, tmp_path_factory) -> ju.studies.Sensitivity:
+def found(crossed, ends, tmp_path_factory) -> Sensitivity:
     return ju.studies.sensitivity(
         crossed,
         tmp_path_factory.mktemp("one"),
@@ -317,7 +318,7 @@ def test_what_a_route_costs_is_what_its_report_says(town_route):
 
 
 @pytest.fixture(scope="module")
-def town_route() -> tuple[ju.CostMap, ju.PlannedPath]:
+def town_route() -> tuple[CostMap, PlannedPath]:
     maps = ju.build_maps(
         ju.demo_city(600, 600), resolution_m=20.0, altitudes_m=(20.0,), progress=False
     )

@@ -27,6 +27,7 @@ from jaxurban.studies.weights.routes import OnChangedMaps
 from jaxurban.studies.weights.sobol import sobol_indices
 from jaxurban.studies.weights.summary import MORE, small_parts, summarise, summarise_shares
 from jaxurban.studies.weights.verdicts import WeightVerdict, verdicts_of
+from jaxurban.typing import Sensitivity
 from tests.cli_runs import TOWN, run
 from tests.pictures import faults
 from tests.studies.routes_made import WEIGHT_STUDY, run_study, same_rows
@@ -427,7 +428,7 @@ def test_routes_on_maps_made_anew_are_compared_both_ways(alpha):
 
 
 @pytest.fixture(scope="module")
-def of_heights(tmp_path_factory) -> ju.studies.Sensitivity:
+def of_heights(tmp_path_factory) -> Sensitivity:
     """Return a study of a town, with maps of drawn heights."""
     folder = tmp_path_factory.mktemp("town")
     region = {
