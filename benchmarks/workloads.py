@@ -84,7 +84,7 @@ FIRST = """
 import jaxurban as ju
 maps = ju.build_maps(ju.demo_city(600, 600), resolution_m=20.0)
 x_m, y_m = (maps.ds[name].values.astype(float) for name in ("x", "y"))
-print(ju.plan(maps, start_xy_m=(x_m[0], y_m[0]), goal_xy_m=(x_m[-1], y_m[-1]), altitude_m=600.0).cost)
+print(ju.plan(maps, ju.XY(x_m[0], y_m[0]), ju.XY(x_m[-1], y_m[-1]), altitude_m=600.0).cost)
 """
 Took = dict[str, float]  # CPU seconds, or what its name says, by part
 Facts = dict[str, str]  # by name
@@ -210,8 +210,8 @@ def ends_of(maps: ju.MetricMaps, seed: int) -> Iterator[dict[str, Any]]:
     """Yield the ends of twelve random queries as `plan` takes them."""
     for row in queries(maps, 12, seed).itertuples():
         yield {
-            "start_xy_m": (row.start_x_m, row.start_y_m),
-            "goal_xy_m": (row.goal_x_m, row.goal_y_m),
+            "start": ju.XY(row.start_x_m, row.start_y_m),
+            "goal": ju.XY(row.goal_x_m, row.goal_y_m),
         }
 
 
@@ -364,7 +364,7 @@ def memory(folder: Path) -> tuple[Took, Facts]:
     ]
     start, goal = ((x_m[col], y_m[row]) for row, col in cells)
     path = ju.plan(
-        maps, start_xy_m=start, goal_xy_m=goal, altitude_m=ALTITUDE_M, budget_s=BUDGET_S, snap=True
+        maps, ju.XY(*start), ju.XY(*goal), altitude_m=ALTITUDE_M, budget_s=BUDGET_S, snap=True
     )
     used_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return {"memory, MiB": used_mib}, of_paths("memory", [path])

@@ -30,7 +30,7 @@ def main() -> None:
     task = MapTask(city, region, sky, MapParams(altitudes_m=(ALTITUDE_M,)))
     maps = compute_maps(task)
     ends = [(x_min + 2000 * x, y_min + 2000 * y) for x, y in ((0.3, 0.12), (0.62, 0.9))]
-    planned = ju.plan(maps, start_xy_m=ends[0], goal_xy_m=ends[1], altitude_m=ALTITUDE_M, snap=True)
+    planned = ju.plan(maps, ju.XY(*ends[0]), ju.XY(*ends[1]), altitude_m=ALTITUDE_M, snap=True)
     with jax.enable_x64(True):
         soft = soften(task, dtype=np.float64)
         table = building_costs(city, soft, planned, SoftParams(ALTITUDE_M))

@@ -308,7 +308,7 @@ def _agreement(plot, case: Case) -> Figure:
 def _return(plot, case: Case) -> Figure:
     maps = maps_for(case.is_hard)
     xy_m = maps.grid.xy_of_cell(*case.pick((20, 20), (20, 25)))
-    return plot(ju.return_altitude(maps, home_xy_m=xy_m, vertical_clearance_m=case.pick(0.0, 12.5)))
+    return plot(ju.return_altitude(maps, ju.XY(*xy_m), vertical_clearance_m=case.pick(0.0, 12.5)))
 
 
 def _all_maps(plot, case: Case) -> Figure:

@@ -67,12 +67,6 @@ SEARCH = {
     "refine": True,
     "exposure": {"lidar": 1.0},
 }
-ENDS = {
-    "start": on.FREE,
-    "goal": on.BETWEEN,
-    "start_xy_m": Case((585_000.0, 4_512_000.0), refused="start must be given in one way"),
-    "goal_xy_m": Case((585_000.0, 4_512_000.0), refused="goal must be given in one way"),
-}
 HEIGHTS = {
     "all_touched": True,
     "height_std_m": Case(ju.HeightStd(height=9.0), {"height_samples": 2}),
@@ -413,7 +407,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "vehicle": ju.Vehicle(radius_m=20.0),
         "unknown_heights": "highest",
     },
-    "CostMap.plan": ENDS | SEARCH,
+    "CostMap.plan": SEARCH,
     "CostModel": {
         "kind": "cell",
         "reference_length_m": 50.0,
@@ -600,8 +594,6 @@ TABLE: dict[str, dict[str, Any]] = {
     "cost_map": ON_A_MAP,
     "cost_to_go": ON_A_MAP
     | {
-        "goal": on.BETWEEN,
-        "goal_xy_m": ENDS["goal_xy_m"],
         "snap": Case(False, {"goal": START}),
         "backend": Same("both find the exact costs"),
     },
@@ -628,7 +620,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "time_of_day": "night",
         "num_segments": 3,
     },
-    "plan": ENDS | ON_A_MAP | SEARCH,
+    "plan": ON_A_MAP | SEARCH,
     "plan_many": ON_A_MAP
     | SEARCH
     | {
@@ -638,8 +630,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "progress": PROGRESS,
     },
     "return_altitude": {
-        "home": on.BETWEEN,
-        "home_xy_m": Case((585_000.0, 4_512_000.0), refused="home must be given in one way"),
         "clearance_m": 30.0,
         "vertical_clearance_m": 9.0,
         "ceiling_m": 2,

@@ -75,6 +75,7 @@ PLAIN = {
     **{
         "start": START,
         "goal": GOAL,
+        "home": START,
         "place": START,
         "places": [START, GOAL],
         "altitude_m": 20.0,
@@ -204,7 +205,6 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     (("gsp",), "CostMap.only.metrics metrics layers"),
     ((1e300, 0.0), "start goal reference centre_lonlat place home"),
     ([(1e300, 0.0)], "places"),
-    (("east", "north"), "start_xy_m goal_xy_m"),
     ("now", "time MetricMaps.m.time stop"),
     ("no/such/place", "folder maps maps_a maps_b path file study where check.sources"),
     ("/proc/none", "MetricMaps.save.folder study.folder sensitivity.folder"),
@@ -377,17 +377,9 @@ WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
             "there is no argument 'altitude_m' (did you mean 'altitudes_m'?)",
         ),
         ("plan", {"constraints": {"gps": 0.3}}, 'Constraints.read(require=["gps>=0.3"])'),
-        (
-            "plan",
-            {"start": LEFT_OUT},
-            "start is missing: give it as longitude, latitude or as start_xy_m",
-        ),
-        ("plan", {"goal": LEFT_OUT}, "goal is missing: give it as"),
-        (
-            "plan",
-            {"start_xy_m": (0, 0)},
-            "start must be given in one way, not both: give it as longitude, latitude or",
-        ),
+        ("plan", {"start": LEFT_OUT}, "argument: 'start'"),
+        ("plan", {"goal": LEFT_OUT}, "argument: 'goal'"),
+        ("plan", {"start_xy_m": (0, 0)}, "no argument 'start_xy_m'"),
         (
             "MetricMaps.m",
             {"self": WITHOUT_PEOPLE, "time_of_day": "noon"},
@@ -401,7 +393,7 @@ WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
         (
             "plan",
             {"start": 5.0},
-            "start must be a sequence of numbers or None (longitude, latitude in degrees",
+            "start must be a sequence of numbers or XY (longitude, latitude in degrees",
         ),
         ("plan", {"goal": ("a", 1)}, "(longitude, latitude in degrees), got tuple of 'a', 1"),
         ("plan", {"altitude_m": "low"}, "altitude_m must be a number or Levels (metres"),

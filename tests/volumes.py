@@ -15,26 +15,24 @@ LEVELS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "des
 
 
 def plan_volume(
-    maps, *, start_xy_m, goal_xy_m, start_altitude_m=None, goal_altitude_m=None, **options
+    maps, *, start, goal, start_altitude_m=None, goal_altitude_m=None, **options
 ) -> PlannedPath:
     """Return the path of `ju.plan` between levels; options are those of `ju.Levels` and of `ju.plan`."""
     levels = ju.Levels(**{name: options.pop(name) for name in LEVELS if name in options})
-    ends = {
-        "start_xy_m": (*start_xy_m, start_altitude_m),
-        "goal_xy_m": (*goal_xy_m, goal_altitude_m),
-    }
-    return ju.plan(maps, altitude_m=levels, **ends, **options)
+    ends = start._replace(altitude_m=start_altitude_m), goal._replace(altitude_m=goal_altitude_m)
+    return ju.plan(maps, *ends, altitude_m=levels, **options)
 
 
 def ends_at(maps, start, goal) -> dict:
     """Return the middles of two cells as arguments of `ju.plan`."""
-    return {"start_xy_m": maps.grid.xy_of_cell(*start), "goal_xy_m": maps.grid.xy_of_cell(*goal)}
+    middles = {"start": maps.grid.xy_of_cell(*start), "goal": maps.grid.xy_of_cell(*goal)}
+    return {name: ju.XY(*xy_m) for name, xy_m in middles.items()}
 
 
-def options_of(maps, start_xy_m, goal_xy_m, altitude_m=20) -> tuple:
+def options_of(maps, start, goal, altitude_m=20) -> tuple:
     """Return the options by which a command plans between two places."""
     start, goal = (
-        "{:.9f},{:.9f}".format(*maps.grid.lonlat_of_xy(*xy_m)) for xy_m in (start_xy_m, goal_xy_m)
+        "{:.9f},{:.9f}".format(*maps.grid.lonlat_of_xy(*xy_m[:2])) for xy_m in (start, goal)
     )
     return ("--start", start, "--goal", goal, "--altitude", altitude_m)
 

@@ -19,6 +19,7 @@ from jaxurban.paths.clearance import reaches_m
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.finish import measured
+from jaxurban.paths.places import XY
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.profile import clearances_on, people_below, values_on
 from jaxurban.paths.route_report import CLEARANCE, OVER_ROOF
@@ -191,7 +192,7 @@ def savings_of(limited_map: CostMap, points_m: np.ndarray) -> dict[str, float]:
     is_own[crossed.row, crossed.col] = True
     is_own &= is_free
     is_open = maximum_filter(is_own, 3) & is_free
-    way = replace(limited_map, is_free=is_open).plan(start_xy_m=start_m, goal_xy_m=goal_m)
+    way = replace(limited_map, is_free=is_open).plan(XY(*start_m), XY(*goal_m))
     if not way.status.has_path:
         raise InputError("the mission passes where no route at its height may")
     if way.cost == 0:
@@ -199,7 +200,7 @@ def savings_of(limited_map: CostMap, points_m: np.ndarray) -> dict[str, float]:
 
     # The cheapest route.
     is_open = is_open | (cells_as_clear(limited_map, is_own) & is_free)
-    cheapest = replace(limited_map, is_free=is_open).plan(start_xy_m=start_m, goal_xy_m=goal_m)
+    cheapest = replace(limited_map, is_free=is_open).plan(XY(*start_m), XY(*goal_m))
     saved = max(0.0, way.cost - cheapest.cost)  # and not rounding
     return {
         "cost_by_cells": way.cost,

@@ -150,9 +150,8 @@ class ReturnAltitude(FactsRepr):
 @typed
 def return_altitude(
     maps: MapsLike,
-    home: Point | None = None,
+    home: Point | XY,
     *,
-    home_xy_m: Point | None = None,
     clearance_m: float | None = None,
     vertical_clearance_m: float | None = None,
     ceiling_m: int = CEILING_M,
@@ -168,8 +167,7 @@ def return_altitude(
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
-      home: longitude, latitude in degrees.
-      home_xy_m: easting, northing in the maps' CRS, instead of ``home``.
+      home: longitude, latitude in degrees, or an `XY` in the maps' CRS.
       clearance_m, vertical_clearance_m: kept from all that stands, and over it; left out, as in the maps' scenario, or
         0 and 3 m.
       ceiling_m: whole metres above the ground at home, which the result's sentence and what to type do not exceed.
@@ -189,8 +187,8 @@ def return_altitude(
     kept = Constraints(clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m)
     maps, _, limits = rules_on(as_maps(maps), None, kept, "")
     grid = maps.grid
-    place: Any = one_place("home", home, home_xy_m)[:2]
-    home_m = np.array(place if home is None or isinstance(home, XY) else grid.xy_of_lonlat(*place))
+    place: Any = one_place("home", home)[:2]
+    home_m = np.array(place if isinstance(home, XY) else grid.xy_of_lonlat(*place))
     home_cell = grid.cell_of_xy(*home_m)  # refuses a home outside
 
     # The highest that must be cleared in each cell, above home's ground.

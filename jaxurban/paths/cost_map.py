@@ -302,11 +302,8 @@ class CostMap(FactsRepr):
     @typed
     def plan(
         self,
-        start: Point | XY | None = None,
-        goal: Point | XY | None = None,
-        *,
-        start_xy_m: Point | None = None,
-        goal_xy_m: Point | None = None,
+        start: Point | XY,
+        goal: Point | XY,
         **choice: Unpack[SearchChoice],
     ) -> PlannedPath:
         """Return a path between two places, given as in `jaxurban.plan`, searched for as `PathSearch.of` says.
@@ -320,8 +317,8 @@ class CostMap(FactsRepr):
           >>> shortest.status.value, len(shortest.xy_m), round(shortest.length_m)
           ('feasible', 6, 711)
         """
-        start_place = one_place("start", start, start_xy_m)
-        goal_place = one_place("goal", goal, goal_xy_m)
+        start_place = one_place("start", start)
+        goal_place = one_place("goal", goal)
         search = PathSearch.of(is_for_volumes=self.levels is not None, **choice)
         return plan_on(self, start_place, goal_place, search)
 

@@ -19,6 +19,7 @@ from jaxurban.paths.closed import constraints_of
 from jaxurban.paths.constraints import GPS_FLOOR, Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.places import XY
 from jaxurban.paths.plan import map_at
 from jaxurban.paths.profile import (
     cautions,
@@ -165,7 +166,7 @@ def with_return_altitude(
     try:
         home = wings.return_altitude(
             maps,
-            home_xy_m=tuple(planned.xy_m[0]),
+            XY(*planned.xy_m[0]),
             clearance_m=limits.clearance_m,
             vertical_clearance_m=limits.vertical_clearance_m,
         )

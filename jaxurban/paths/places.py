@@ -31,23 +31,17 @@ class XY(NamedTuple):
     altitude_m: float | None = None
 
 
-def one_place(name: str, lonlat: Point | XY | None, xy_m: Point | None) -> Point | XY:
-    """Return a place that a user gives in one of two ways, as floats: an `XY` in metres, or a tuple in degrees.
+def one_place(name: str, place: Point | XY) -> Point | XY:
+    """Return a place that a user gives, as floats: an `XY` in metres, or a tuple in degrees.
 
     Args:
       name: of the place, such as ``"start"``, for messages.
-      lonlat: longitude, latitude in degrees, or an `XY`; between levels also an altitude, which may be None.
-      xy_m: easting, northing in metres, and between levels an altitude.
+      place: longitude, latitude in degrees, or an `XY`; between levels also an altitude, which may be None.
 
     Raises:
-      InputError: both are None, neither is, or the one that is given is not two numbers, and maybe an altitude.
+      InputError: it is not two numbers, and maybe an altitude.
     """
-    if (lonlat is None) == (xy_m is None):  # neither is given, or both
-        fault = "is missing" if xy_m is None else "must be given in one way, not both"
-        raise InputError(f"{name} {fault}: give it as longitude, latitude or as {name}_xy_m")
-
-    place: Any = lonlat if xy_m is None else xy_m
-    is_in_metres = xy_m is not None or isinstance(lonlat, XY)
+    is_in_metres = isinstance(place, XY)
     try:
         values: Any = [None if value is None else float(value) for value in place]
     except (TypeError, ValueError):  # no numbers; what follows refuses an empty list

@@ -19,7 +19,7 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.finish import plan_on
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.places import Point, one_place
+from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.paths.search import PathSearch
 from jaxurban.planners.cost import CostModel
 from jaxurban.settings import (
@@ -213,12 +213,10 @@ def _check_fits(num_levels: int, grid: Grid) -> None:
 @typed
 def plan(
     maps: MapsLike,
-    start: Point | None = None,
-    goal: Point | None = None,
+    start: Point | XY,
+    goal: Point | XY,
     *,
     altitude_m: float | Levels,
-    start_xy_m: Point | None = None,
-    goal_xy_m: Point | None = None,
     **choice: Unpack[PathChoice],
 ) -> PlannedPath:
     """Return a path from ``start`` to ``goal``, at one altitude or between levels.
@@ -229,13 +227,12 @@ def plan(
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
-      start, goal: longitude, latitude in degrees; between levels also an altitude, one of the levels (left out, the
-        lowest that is free there).
+      start, goal: longitude, latitude in degrees, or an `XY` in the maps' CRS; between levels also an altitude, one of
+        the levels (left out, the lowest that is free there).
       altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both,
         which the path's message says, and obstacles from the roofs' own heights. Or `Levels`, for a path that may climb
         and descend on its way. It costs the metrics of the cells it enters, its length in space, and each metre of
         climb and descent; 8 neighbours are 26 there. ``objective="distance"`` leaves climb and descent out too.
-      start_xy_m, goal_xy_m: easting, northing in the maps' CRS (and altitude), instead of ``start`` and ``goal``.
       weights: numbers by name, such as ``{"gps": 2.0}``: how much the distance (per metre) and each metric count.
       objective, cost_model, time, time_of_day, constraints, preset: which map, as in `cost_map`.
       planner: ``"ptp"``, ``"astar"`` (the default), ``"bitstar-dist"``, ``"bitstar-plus"``, ``"theta-star"``, or the
@@ -275,6 +272,6 @@ def plan(
     maps = as_maps(maps)
     map_choice, search_choice = parted(choice)
     search = PathSearch.of(maps.planning, isinstance(altitude_m, Levels), **search_choice)
-    start_place = one_place("start", start, start_xy_m)
-    goal_place = one_place("goal", goal, goal_xy_m)
+    start_place = one_place("start", start)
+    goal_place = one_place("goal", goal)
     return plan_on(cost_map(maps, altitude_m, **map_choice), start_place, goal_place, search)

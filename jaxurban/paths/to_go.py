@@ -7,7 +7,7 @@ import numpy as np
 from jaxurban.checks import typed
 from jaxurban.maps.metric_maps import MapsLike
 from jaxurban.paths.choices import MapChoice
-from jaxurban.paths.places import Point, one_place
+from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.paths.plan import cost_map
 from jaxurban.planners import astar
 from jaxurban.planners.tile_search import costs_by_tiles
@@ -17,10 +17,9 @@ from jaxurban.settings import Backend
 @typed
 def cost_to_go(
     maps: MapsLike,
-    goal: Point | None = None,
+    goal: Point | XY,
     *,
     altitude_m: float,
-    goal_xy_m: Point | None = None,
     snap: bool | float = False,
     backend: Backend = "auto",
     **choice: Unpack[MapChoice],
@@ -31,9 +30,8 @@ def cost_to_go(
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
-      goal: longitude, latitude in degrees.
+      goal: longitude, latitude in degrees, or an `XY` in the maps' CRS.
       altitude_m: within the range of the maps' altitudes.
-      goal_xy_m: easting, northing in the maps' CRS, instead of ``goal``.
       weights, objective, cost_model, time, time_of_day, constraints, preset: which map, as in `cost_map`.
       snap: whether a goal that is not free moves to the nearest free cell, as in `plan`.
       backend: ``"numba"``, ``"jax"`` (tiles, `planners.tile_search`), or ``"auto"``: Numba, which is several times as
@@ -51,7 +49,7 @@ def cost_to_go(
       >>> bool(abs(to_go[row, col] - ju.plan(maps, start, goal, altitude_m=60.0).cost) < 1e-9)
       True
     """
-    place = one_place("goal", goal, goal_xy_m)
+    place = one_place("goal", goal)
     weighed_maps = cost_map(
         maps,
         altitude_m,

@@ -223,7 +223,7 @@ def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
     Raises:
       InputError: no place, one that is not two numbers, or one that the CRS has no coordinates for.
     """
-    checked = [one_place(name, place, None) for place in places]
+    checked = [one_place(name, place) for place in places]
     coordinates = np.array([place[:2] for place in checked], float).reshape(-1, 2).T
     is_xy = np.array([isinstance(place, XY) for place in checked], bool)
     lonlat = np.where(is_xy, 0.0, coordinates)  # what is in metres already is not converted

@@ -138,7 +138,7 @@ def test_snapping_to_the_ground_takes_the_nearest_cell_that_is_free_below(town):
     assert on.plan(**ends, snap=True).snap_distance_m[0] == pytest.approx(0.0)
     (many,) = ju.plan_many(
         town,
-        [(ju.XY(*ends["start_xy_m"]), ju.XY(*ends["goal_xy_m"]))],
+        [(ends["start"], ends["goal"])],
         altitude_m=ALTITUDE_M,
         snap=True,
         on_ground=True,

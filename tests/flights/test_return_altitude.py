@@ -44,7 +44,7 @@ def test_cell_is_open_from_the_height_on_at_which_planners_may_fly(clearance_m, 
 
 def test_over_hills_the_ground_counts_too():
     maps = over_hills(scattered())
-    home = ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(20, 25), clearance_m=5.0)
+    home = ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(20, 25)), clearance_m=5.0)
     ground_m = maps.m("terrain")
     assert home.ground_m == pytest.approx(ground_m[20, 25], abs=1e-3)
     highest_m = (
@@ -63,9 +63,7 @@ def test_value_is_just_above_what_is_highest_on_the_way():
     roof_m = np.zeros(maps.grid.shape)
     roof_m[15, 20] = 40.0
     maps = with_roofs(maps, roof_m)
-    home = ju.return_altitude(
-        maps, home_xy_m=maps.grid.xy_of_cell(15, 10), vertical_clearance_m=5.0
-    )
+    home = ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(15, 10)), vertical_clearance_m=5.0)
     assert home.altitude_m[15, 27] == pytest.approx(45.0)
     assert home.altitude_m[15, 27] > 45.0  # where planners fly; at 45 m the cell is closed
     assert home.altitude_m[3, 10] == pytest.approx(5.0)
@@ -81,7 +79,7 @@ def test_value_is_just_above_what_is_highest_on_the_way():
 
 def test_at_the_ceiling_a_return_clears_the_cells_that_need_no_more_and_no_more_is_typed():
     maps = scattered()
-    home = ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(20, 25), ceiling_m=40)
+    home = ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(20, 25)), ceiling_m=40)
     share = np.mean(home.altitude_m <= 40.0)  # roofs of 12, 18, 30 and 80 m, and 3 m over them
     assert home.figures == {
         "highest_m": pytest.approx(83.0),
@@ -95,11 +93,11 @@ def test_at_the_ceiling_a_return_clears_the_cells_that_need_no_more_and_no_more_
         "the way flown."
     )
     assert home.facts["PX4"].startswith("RTL_RETURN_ALT = 40 (m)")
-    exact = ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(20, 25), ceiling_m=83)
+    exact = ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(20, 25)), ceiling_m=83)
     assert exact.figures["clear_share"] == np.isfinite(exact.altitude_m).mean()
     assert exact.sentence.startswith("A return at 83 m")
     with pytest.raises(ju.InputError, match="whole number from 2 up"):
-        ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(20, 25), ceiling_m=0)
+        ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(20, 25)), ceiling_m=0)
 
 
 def test_no_value_where_the_line_meets_what_is_unknown():
@@ -107,19 +105,19 @@ def test_no_value_where_the_line_meets_what_is_unknown():
     roof_m = maps.m("roof_touched").copy()
     roof_m[20, 30] = np.nan
     maps = ju.MetricMaps(maps.ds.assign(roof_touched=(("y", "x"), roof_m)))
-    home = ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(20, 20))
+    home = ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(20, 20)))
     assert np.isnan(home.altitude_m[20, 30:]).all()
     assert np.isfinite(home.altitude_m[:, :25]).all()
     assert "have no value" in home.cautions[0]
     with pytest.raises(ju.InputError, match="choose another home"):
-        ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(20, 30))
+        ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(20, 30)))
     with pytest.raises(ju.InputError, match="border"):
-        ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(0, 20), clearance_m=5.0)
+        ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(0, 20)), clearance_m=5.0)
 
 
 def test_exact_outlines_never_ask_for_more(town):
     city = ju.demo_city(1_000, 1_000)
-    home = ju.return_altitude(town, home_xy_m=town.grid.xy_of_cell(80, 80))
+    home = ju.return_altitude(town, ju.XY(*town.grid.xy_of_cell(80, 80)))
     row, col = np.random.default_rng(2).integers(0, town.grid.shape, (300, 2)).T
     x_m, y_m = town.grid.xy_of_cell(row, col)
     ends_m = np.stack([np.column_stack([x_m, y_m]), np.tile(home.home_xy_m, (300, 1))], axis=1)
@@ -136,7 +134,7 @@ def test_files_hold_the_map(tmp_path):
     import rasterio
 
     maps = scattered()
-    home = ju.return_altitude(maps, home_xy_m=maps.grid.xy_of_cell(20, 20))
+    home = ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(20, 20)))
     with rasterio.open(home.save(tmp_path / "home.tif")) as file:
         np.testing.assert_array_equal(file.read(1)[::-1], home.altitude_m)
         assert file.units == ("m",)

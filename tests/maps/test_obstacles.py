@@ -16,7 +16,7 @@ from tests.made_maps import city_of_boxes
 from tests.volumes import plan_volume
 
 X_M, Y_M = 500_000.0, 4_500_000.0  # southwest corner of the region
-ENDS = {"start_xy_m": (X_M + 102.5, Y_M + 12.5), "goal_xy_m": (X_M + 102.5, Y_M + 187.5)}
+ENDS = {"start": ju.XY(X_M + 102.5, Y_M + 12.5), "goal": ju.XY(X_M + 102.5, Y_M + 187.5)}
 
 
 def walled(*walls, height_m=50.0):
@@ -109,7 +109,7 @@ def test_what_would_join_is_found_once_for_a_batch(monkeypatch):
         return islands_of(is_free, cuts_corners)
 
     monkeypatch.setattr(snapping, "islands_of", label_and_count)
-    ends = pd.DataFrame([[*ENDS["start_xy_m"], *ENDS["goal_xy_m"]]] * 3, columns=list(IN_METRES))
+    ends = pd.DataFrame([[*ENDS["start"][:2], *ENDS["goal"][:2]]] * 3, columns=list(IN_METRES))
     answers = ju.plan_many(maps, ends, altitude_m=20.0, progress=False).to_dataframe()
     assert all("joined at 60 m" in message for message in answers["message"])
     assert len(labelled) == 2  # at 20 and at 60 m
@@ -117,7 +117,7 @@ def test_what_would_join_is_found_once_for_a_batch(monkeypatch):
 
 def test_a_study_of_a_route_that_is_not_there_says_what_would_join_its_ends(tmp_path):
     maps = walled(*NARROW)
-    ends = [maps.grid.lonlat_of_xy(*xy_m) for xy_m in ENDS.values()]
+    ends = [maps.grid.lonlat_of_xy(*xy_m[:2]) for xy_m in ENDS.values()]
     found = ju.studies.sensitivity(maps, tmp_path, [ends], altitudes_m=[20.0], progress=False)
     assert found.route is None
     assert "joined at 60 m" in found.rows.note.item()
@@ -128,7 +128,7 @@ def test_ends_that_only_a_touch_closes_are_told_apart_and_name_the_rule_under_wh
     gap,
 ):
     row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
-    ends = {**ENDS, "start_xy_m": tuple(map(float, gap.grid.xy_of_cell(row, col)))}
+    ends = {**ENDS, "start": ju.XY(*map(float, gap.grid.xy_of_cell(row, col)))}
     with pytest.raises(InputError, match="in a cell that an obstacle touches"):
         ju.plan(gap, **ends, altitude_m=20.0)
     with pytest.raises(

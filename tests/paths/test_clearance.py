@@ -298,7 +298,7 @@ def test_a_start_too_near_is_told_by_what_and_moved_on_request():
     low = np.argwhere(maps.m("roof_touched") == 18)[0]
     words = "the clearance of 7 m and the vehicle's radius of 0.5 m and the vertical clearance of 4 m that is kept"
     for cell in ((row, col + 1), low, (1, 1)):  # beside a roof, over one, and near the border
-        at = ends | {"start_xy_m": maps.grid.xy_of_cell(*cell), "altitude_m": ALTITUDE_M}
+        at = ends | {"start": ju.XY(*maps.grid.xy_of_cell(*cell)), "altitude_m": ALTITUDE_M}
         with pytest.raises(ju.InputError, match=f"start is closed by.*{words}"):
             ju.plan(maps, **at, constraints=constraints)
         assert ju.plan(maps, **at, constraints=constraints, snap=True).status is Status.OPTIMAL

@@ -70,7 +70,9 @@ def test_where_there_are_no_data_no_bound_holds(maps):
 @pytest.mark.parametrize("require", ["lidar>=0.3", "num_visible>=4"])
 @pytest.mark.parametrize("planner", ["ptp", "astar-dist", "astar-plus", "bitstar-plus"])
 def test_no_planner_enters_a_zone_or_breaks_a_bound(maps, ends, planner, require):
-    outline = shapely.LineString([*ends.values()]).centroid.buffer(120.0, quad_segs=3)
+    outline = shapely.LineString([xy_m[:2] for xy_m in ends.values()]).centroid.buffer(
+        120.0, quad_segs=3
+    )
     constraints = ju.Constraints(
         (Zone("heliport", outline, maps.grid.crs),), (Bound.parse(require),)
     )
@@ -102,7 +104,7 @@ def test_constraints_that_close_nothing_change_nothing(maps, ends):
 
 
 def test_a_start_within_a_limit_is_told_which_and_where_to_go(maps, ends):
-    row, col = (int(value) for value in maps.grid.cell_of_xy(*ends["start_xy_m"]))
+    row, col = (int(value) for value in maps.grid.cell_of_xy(*ends["start"][:2]))
     gps = float(maps.m("gps", ALTITUDE_M)[row, col])
     zone = zone_of_cells(maps, row, col, 3, name="Heliport", ceiling_m=100.0)
     constraints = ju.Constraints((zone,), (Bound("gps", ">=", gps + 0.01),))
@@ -266,10 +268,10 @@ def inside(block) -> dict:
 
 def snapped(way, maps, ends, snap) -> float:
     """Return how far one way of planning moves the start."""
-    pairs = [tuple(tuple(map(float, maps.grid.lonlat_of_xy(*xy_m))) for xy_m in ends.values())]
+    pairs = [tuple(tuple(map(float, maps.grid.lonlat_of_xy(*xy_m[:2]))) for xy_m in ends.values())]
     if way == "study":
         (query,) = make_queries(ju.cost_map(maps, ALTITUDE_M), pairs, snap=snap)
-        return 10.0 * np.hypot(*np.subtract(query.start, maps.grid.cell_of_xy(*ends["start_xy_m"])))
+        return 10.0 * np.hypot(*np.subtract(query.start, maps.grid.cell_of_xy(*ends["start"][:2])))
     path = {
         "plan": lambda: ju.plan(maps, **ends, altitude_m=ALTITUDE_M, snap=snap),
         "volume": lambda: plan_volume(maps, **ends, start_altitude_m=20.0, snap=snap),
@@ -300,7 +302,7 @@ def test_the_free_cell_nearest_to_the_place_itself_is_taken(block, inside):
     for aside, cell in (((4.0, 0.0), (21, 13)), ((0.0, 4.0), (22, 12))):
         path = ju.plan(
             block,
-            **(inside | {"start_xy_m": tuple(corner_m + aside)}),
+            **(inside | {"start": ju.XY(*(corner_m + aside))}),
             altitude_m=ALTITUDE_M,
             snap=True,
         )

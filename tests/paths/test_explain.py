@@ -45,9 +45,7 @@ def route(maps, ends, **settings) -> PlannedPath:
 
 
 def of_one_place(maps, ends, **settings) -> PlannedPath:
-    return route(
-        maps, {"start_xy_m": ends["start_xy_m"], "goal_xy_m": ends["start_xy_m"]}, **settings
-    )
+    return route(maps, {"start": ends["start"], "goal": ends["start"]}, **settings)
 
 
 def outlines(maps, is_wall) -> shapely.Geometry:
@@ -79,7 +77,7 @@ def test_the_return_altitude_keeps_the_clearance_of_the_plan_also_where_it_is_no
     maps, ends, above_m
 ):
     path = route(maps, ends, constraints=ju.Constraints(vertical_clearance_m=above_m))
-    kept = ju.return_altitude(maps, home_xy_m=path.xy_m[0], vertical_clearance_m=above_m)
+    kept = ju.return_altitude(maps, ju.XY(*path.xy_m[0]), vertical_clearance_m=above_m)
     report = with_return_altitude(ju.explain(path, maps), path, maps)
     least_m = report.totals["return_altitude_m"]
     assert least_m in kept.altitude_m
@@ -112,7 +110,10 @@ def test_segments_add_up_to_the_paths_cost_layer_by_layer(maps, ends, planner, c
 )
 def test_a_route_between_levels_has_the_cost_that_plan_told(maps, ends, model):
     levels = ju.Levels(level_step_m=15.0, climb_cost=0.3, descent_cost=0.05)
-    tops = {name: (*xy_m, 60.0 if name == "start_xy_m" else 35.0) for name, xy_m in ends.items()}
+    tops = {
+        name: xy_m._replace(altitude_m=60.0 if name == "start" else 35.0)
+        for name, xy_m in ends.items()
+    }
     path = route(maps, tops, altitude_m=levels, cost_model=model)
     assert {20.0, 60.0} != set(path.z_m.tolist())
     assert_costs_of(path, ju.explain(path, maps))
@@ -178,7 +179,7 @@ def test_the_report_says_which_stretch_costs_the_most_and_for_which_layer(planne
     alone = ju.explain(
         route(
             maps,
-            {"start_xy_m": planned.xy_m[0], "goal_xy_m": planned.xy_m[-1]},
+            {"start": ju.XY(*planned.xy_m[0]), "goal": ju.XY(*planned.xy_m[-1])},
             weights=dict.fromkeys(maps.metrics, 0.0),
         ),
         maps,
@@ -265,7 +266,7 @@ def test_over_an_obstacle_of_the_map_below_every_number_is_known(maps):
     start, goal = (
         maps.grid.xy_of_cell(*cell) for cell in np.argwhere(maps.m("roof") == 30.0)[[0, -1]]
     )
-    planned = ju.plan(maps, start_xy_m=start, goal_xy_m=goal, altitude_m=35.0)
+    planned = ju.plan(maps, ju.XY(*start), ju.XY(*goal), altitude_m=35.0)
     profile = ju.explain(planned, maps).profile
     assert (profile["roof_m"] == 30.0).any()
     assert np.isfinite(profile[["gps", "lidar", "risk", "walls_outside_m", "nearest_wall_m"]]).all(

@@ -19,7 +19,6 @@ from tests.made_maps import made_maps
 from tests.volumes import REGION, options_of, plan_volume
 
 Z_M, NAN = 20.0, float("nan")
-PLACE = (-73.97, 40.78)
 NOWHERE = ju.Constraints.read(require="hdop<=0.1")
 
 
@@ -29,13 +28,11 @@ class Scene:
     def __init__(self, maps, ends, folder):
         self.maps, self.ends, self.folder = maps, ends, folder
         self.on = ju.cost_map(maps, Z_M)
-        self.path = self.on.plan(
-            **{name.removesuffix("_xy_m"): ju.XY(*xy_m) for name, xy_m in ends.items()}
-        )
+        self.path = self.on.plan(**ends)
         self.untouched = ju.MetricMaps(maps.ds.drop_vars("roof_touched"), "centre")
         self.blocked = self.plan(planner="ptp")
         self.pairs = [
-            [list(map(float, maps.grid.lonlat_of_xy(*xy_m))) for xy_m in ends.values()]
+            [list(map(float, maps.grid.lonlat_of_xy(*xy_m[:2]))) for xy_m in ends.values()]
         ] * 3
 
     def plan(self, **changed):
@@ -94,7 +91,6 @@ REFUSED = [
     ),
     (lambda s: s.plan(objective="fast"), "'weighted', 'distance' or None"),
     (lambda s: s.plan(cost_model="cells"), "CostModel, 'cell', 'line' or None"),
-    (lambda s: s.plan(start=PLACE), "not both"),
     (lambda s: s.plan(weights={"gps": NAN}), "gps must be a finite number"),
     (lambda s: s.plan(preset="papers"), "preset must be '' or 'paper', got 'papers'"),
     (lambda s: s.plan(cost_model="cell", refine=True), "cost_model='line'"),

@@ -20,7 +20,7 @@ from tests.volumes import plan_volume
 REGION = Grid(CRS, 10.0, int(Y_M // 10) + 2, int(X_M // 10) + 2, 54, 56)
 ALTITUDES_M = (5.0, 13.0, 20.0)
 UNDER = (X_M + 300.0, Y_M + 205.0)  # the deck; the ends are south and north of it
-ENDS = {"start_xy_m": (X_M + 300.0, Y_M + 165.0), "goal_xy_m": (X_M + 300.0, Y_M + 245.0)}
+ENDS = {"start": ju.XY(X_M + 300.0, Y_M + 165.0), "goal": ju.XY(X_M + 300.0, Y_M + 245.0)}
 RULES = ("touched", "centre")
 
 
@@ -96,8 +96,8 @@ def test_nobody_climbs_from_under_a_deck(maps):
     under = maps.grid.cell_of_xy(*UNDER)
     assert [maps.m("obstacle", z_m)[under] for z_m in (5.0, 13.0)] == [0, 1]
     climb = {
-        "start_xy_m": UNDER,
-        "goal_xy_m": ENDS["goal_xy_m"],
+        "start": ju.XY(*UNDER),
+        "goal": ENDS["goal"],
         "start_altitude_m": 5.0,
         "goal_altitude_m": 20.0,
     }

@@ -95,7 +95,7 @@ def test_a_metre_of_climb_costs_a_metre_of_flight_unless_told_otherwise_and_the_
 
 def test_start_left_on_a_roof_begins_at_the_lowest_free_level_over_it(maps, ends):
     cell = np.argwhere(~maps.is_free(20.0) & maps.is_free(60.0))[0]
-    there = ends | {"start_xy_m": maps.grid.xy_of_cell(*cell)}
+    there = ends | {"start": ju.XY(*maps.grid.xy_of_cell(*cell))}
     assert plan_volume(maps, **there).z_m[0] == 60.0
     with pytest.raises(ju.InputError, match=r"at 20 m; the lowest free level there is 60 m"):
         plan_volume(maps, **there, start_altitude_m=20.0)
@@ -109,7 +109,7 @@ def test_start_left_on_a_roof_begins_at_the_lowest_free_level_over_it(maps, ends
 
 
 def test_start_under_the_goal_goes_straight_up_and_is_written(maps, ends, tmp_path):
-    here = ends | {"goal_xy_m": ends["start_xy_m"]}
+    here = ends | {"goal": ends["start"]}
     up = plan_volume(maps, **here, goal_altitude_m=60.0, objective="distance")
     assert up.length_m == pytest.approx(40.0)
     for suffix, read in READERS.items():
@@ -174,4 +174,4 @@ def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():
     with pytest.raises(
         ju.InputError, match=r"closed by the no-fly zone 'wall'.*lowest free level there is 90 m"
     ):
-        planned(70.0, start_xy_m=maps.grid.xy_of_cell(40, 47), start_altitude_m=60.0)
+        planned(70.0, start=ju.XY(*maps.grid.xy_of_cell(40, 47)), start_altitude_m=60.0)

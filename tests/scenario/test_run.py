@@ -38,7 +38,7 @@ def far_ends(maps) -> dict:
     ends = [
         (float(maps.grid.x_m[col]), float(maps.grid.y_m[row])) for row, col in (free[0], free[-1])
     ]
-    return {"start_xy_m": ends[0], "goal_xy_m": ends[1], "altitude_m": 20.0}
+    return {"start": ju.XY(*ends[0]), "goal": ju.XY(*ends[1]), "altitude_m": 20.0}
 
 
 def test_other_code_settings_or_another_device_make_maps_stale_and_weights_do_not(job, monkeypatch):

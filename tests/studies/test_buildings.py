@@ -35,7 +35,7 @@ def route(folder):
     maps = ju.open_maps(folder)
     x_m, y_m = (np.quantile(along, (0.1, 0.9)) for along in (maps.grid.x_m, maps.grid.y_m))
     start, goal = zip(x_m.tolist(), y_m.tolist(), strict=True)
-    return ju.plan(maps, start_xy_m=start, goal_xy_m=goal, altitude_m=25.0, snap=True)
+    return ju.plan(maps, ju.XY(*start), ju.XY(*goal), altitude_m=25.0, snap=True)
 
 
 @pytest.fixture(scope="module")
