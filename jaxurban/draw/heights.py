@@ -40,13 +40,7 @@ def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
     """
     maps = as_maps(maps)
     rasters = {name: maps.m(name) for name in (ROOF, TERRAIN, GUESSED) if name in maps.ds}
-    return _heights_figure(
-        maps.grid,
-        rasters,
-        maps.ds["has_data"].values,
-        frame_note(maps, has_sky=False),
-        width,
-    )
+    return _heights_figure(maps.grid, rasters, frame_note(maps, has_sky=False), width)
 
 
 def plot_city(city: City, *, width: Width = "page") -> Figure:
@@ -64,46 +58,38 @@ def plot_city(city: City, *, width: Width = "page") -> Figure:
     side_m = max(x_max - x_min, y_max - y_min) / CELLS
     grid = covering_grid(box_m, float(f"{side_m:.1g}"), city.crs)
     surface = rasterise(city, grid, has_guessed=True)
-    rasters = {
-        ROOF: surface.roof_m,
-        TERRAIN: surface.terrain_m,
-        GUESSED: surface.roof_guessed,
-    }
-    known = {name: np.asarray(values) for name, values in rasters.items() if values is not None}
-    has_data = np.broadcast_to(
-        True if surface.has_data is None else np.asarray(surface.has_data), grid.shape
-    )
+    has_data = surface.has_data is None or surface.has_data
+    rasters = {ROOF: np.where(has_data, surface.roof_m, np.float32(np.nan))}
+    if surface.terrain_m is not None:
+        rasters[TERRAIN] = np.where(has_data, surface.terrain_m, np.float32(np.nan))
+    if surface.roof_guessed is not None:
+        rasters[GUESSED] = np.asarray(surface.roof_guessed)
     note = joined(*ground_said(grid, city.attribution))
-    return _heights_figure(grid, known, has_data, note, width)
+    return _heights_figure(grid, rasters, note, width)
 
 
 def _heights_figure(
-    grid: Grid,
-    rasters: Mapping[str, np.ndarray],
-    has_data: np.ndarray,
-    note: str,
-    width: Width,
+    grid: Grid, rasters: Mapping[str, np.ndarray], note: str, width: Width
 ) -> Figure:
     """Return panels of roofs, of the ground where there is a raster of it, and of guessed roofs where they are known.
 
     Args:
       grid: of all of them.
-      rasters: ``[Y, X]`` by name: `ROOF` and, where they are known, `TERRAIN` and `GUESSED`.
-      has_data: ``[Y, X]`` bool; elsewhere nothing is drawn.
+      rasters: ``[Y, X]`` by name: `ROOF` and, where they are known, `TERRAIN` and `GUESSED`; NaN without data.
       note: below the heading.
       width: see `plot_metric`.
     """
     legend = [("no roof", EMPTY_COLOUR)]
-    if not has_data.all():
+    roof_m = rasters[ROOF]
+    if np.isnan(roof_m).any():
         legend.append(NO_DATA_PATCH)
-    roof_m = np.where(has_data, rasters[ROOF], np.float32(np.nan))
     colours = colours_of(AUXILIARY_VARIABLES[ROOF], lambda: roof_m)
     layers = layers_above_zero(roof_m, colours)
     _, highest_m = ends_of(roof_m)
     panels = [MapPanel(f"roofs above ground, up to {highest_m:.0f} m", layers)]
 
     if TERRAIN in rasters:
-        terrain_m = np.where(has_data, rasters[TERRAIN], np.float32(np.nan))
+        terrain_m = rasters[TERRAIN]
         colours = colours_of(AUXILIARY_VARIABLES[TERRAIN], lambda: terrain_m)
         low_m, high_m = ends_of(terrain_m)
         title = f"terrain, {low_m:.0f} to {high_m:.0f} m"
