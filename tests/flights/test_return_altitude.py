@@ -152,7 +152,7 @@ def test_viewer_has_a_layer_of_the_home_that_is_clicked():
     assert np.isnan(viewer.values(view.model_copy(update={"home": None}))).all()
     rows = {
         row["name"]: row["value"]
-        for row in viewer.values_at(Cell(at=(0, 0, 0), row=5, col=6, view=view))
+        for row in viewer.values_at(Cell(at=(0, 0, 0), row=5, col=6, home=(lon, lat)))
     }
     assert rows["return_altitude"] == home.altitude_m[5, 6]
     assert "in metres" in viewer.legend(view)["html"]
