@@ -9,6 +9,13 @@ from pathlib import Path
 
 MOST_SAID = 300  # characters of what a library says that a message passes on
 MOST_OF_END = 1000  # characters of a message at its begin and at its end: a file may hold a text of any length
+# What Python itself says of files that are not as they should be, by a part of it, and what messages say instead.
+OF_PYTHON = {
+    "maximum recursion depth": "brackets lie too deep within brackets",
+    "zip() arg": "lists that belong together differ in length",
+    "values to unpack": "a list has another length than it should",
+    "int_max_str_digits": "a number has too many digits",
+}
 
 
 class JaxurbanError(Exception):
@@ -111,8 +118,14 @@ def platform_remedy(error: BaseException) -> str:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what an error of the system or of a library says, on one line, cut after `MOST_SAID` characters."""
+    """Return what an error of the system or of a library says, on one line, cut after `MOST_SAID` characters.
+
+    What Python says of its own work becomes what is wrong with the file (`OF_PYTHON`).
+    """
     reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+    for part, words in OF_PYTHON.items():
+        if part in reason:
+            return words
     return shortened(reason)
 
 

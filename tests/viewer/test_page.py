@@ -221,7 +221,7 @@ def test_a_goal_in_a_building_moves_out_of_it_the_card_says_so_and_dragging_it_t
     with shown(browser, Viewer(type(MAPS)(ds))) as page:
         plan_between(page, FREE[300].tolist(), (row, col))
         assert (
-            "goal moved 50 m: it was inside an obstacle" in page.locator(".jv-route").inner_text()
+            "The goal was not free: it was moved 50.0 m" in page.locator(".jv-route").inner_text()
         )
         show_all(page)
         page.wait_for_timeout(300)
@@ -412,7 +412,7 @@ def test_every_format_of_paths_has_a_button_whose_file_bears_city_altitude_time_
         assert button.inner_text() == each.label
         with page.expect_download() as waiting:
             button.click()
-        name = f"city_20m_day_2020-04-27T1600Z_astar-plus{suffix}"
+        name = f"city_20m_day_2020-04-27T1600Z_astar{suffix}"
         assert waiting.value.suggested_filename == name
 
 
@@ -573,7 +573,7 @@ def test_a_refused_request_leaves_no_other_route_and_no_command_standing(browser
         assert text_of(page, "hint") == "Click the map for the start."
         plan_between(page, *FREE[[900, 15000]].tolist())
         page.click("text=Planners and rules")
-        page.check('[value="astar-dist"]')
+        page.check('[value="theta-star"]')
         settle(page)
         assert page.locator(".jv-route").count() == 2
         page.fill('[name="clearance_m"]', "-5")
