@@ -87,7 +87,7 @@ def test_what_does_not_fit_is_cut_into_tiles_of_the_same_bits(series, limit, tri
     assert tried == [task.region.shape, *[tiled_runs.RAGGED] * 12]  # four by three tiles
     xr.testing.assert_identical(found, compute_maps(task).ds)
     with pytest.raises(
-        InputError, match=r"a tile needs about .* of the GPU's memory and 0\.001 MiB"
+        InputError, match=r"a tile needs about .* of the GPU's memory and 0\.98 kiB"
     ):
         compute_maps(task, device_bytes=1000.0)
 
