@@ -1,5 +1,6 @@
 """report.md of a study of weights, of one route or of many: its tables and figures."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,7 +25,7 @@ from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.public import FactsRepr
 from jaxurban.statistics.bootstrap import interval_columns
-from jaxurban.statistics.conclusions import Conclusion, concluded
+from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded
 from jaxurban.studies.decided import wider_bounds
 from jaxurban.studies.figures.sensitivity import many_figures, one_figures
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
@@ -34,7 +35,7 @@ from jaxurban.studies.weights.one_route import MORE, OneRoute
 from jaxurban.studies.weights.routes import WeightsJob
 from jaxurban.studies.weights.settings import SensitivitySettings
 from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES
-from jaxurban.studies.weights.verdicts import verdicts_of
+from jaxurban.studies.weights.verdicts import WeightVerdict, verdicts_of
 
 # What a study may write, so that a user's file in the way is refused before an older study is removed.
 TABLES = [
@@ -155,7 +156,7 @@ class Sensitivity(FactsRepr):
     @cached_property
     def decided(self) -> Conclusion:
         """What is decided, what is not, and what to run next."""
-        verdicts = []
+        verdicts = [Verdict(WeightVerdict.NO_PATH, n=len(self.rows), needed=math.nan)]
         if "weights" in self.tables:
             verdicts = verdicts_of(self.tables, self.route, self.settings)
         # The options of this study, of other routes.

@@ -48,6 +48,7 @@ class WeightVerdict(Enum):
     )
     NO_WAY = "no factor of {what} from {low:g} to {high:g} sends the drone another way"
     OTHER_MAPS = "with {first} {size} of the routes change, and keeping a route there costs {kept:.2g} % more ({n})"
+    NO_PATH = "which weights matter, as no path was found ({n})"
     ONE_ROUTE = "whether other routes change at these factors, which one route cannot say"
 
 
