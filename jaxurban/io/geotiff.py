@@ -242,6 +242,15 @@ def _writing() -> Iterator[None]:
         raise
 
 
+def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
+    """Return the paths of the GeoTIFFs and styles of obstacles and metrics at which no file is, or an empty one."""
+    return [
+        path
+        for path in geotiff_paths(ds, folder, ())
+        if not (path.is_file() and path.stat().st_size)
+    ]
+
+
 def raster_profile(grid: Grid, dtype: np.dtype) -> dict[str, Any]:
     """Return the arguments by which rasterio opens a new GeoTIFF of one band on a grid.
 

@@ -79,9 +79,9 @@ class MapParams:
     @property
     def gps(self) -> Gps:
         """The settings of satellites."""
-        return self.sections["gps"]
+        return self.sections.get("gps") or Gps()
 
     @property
     def population(self) -> Population:
         """The settings of people."""
-        return self.sections["population"]
+        return self.sections.get("population") or Population()

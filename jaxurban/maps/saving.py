@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxurban.checks import typed
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, warn
 from jaxurban.io.files import sweep_scraps
 from jaxurban.io.geoparquet import write_geoparquet
-from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
+from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, missing_geotiffs, write_geotiffs
 from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.io.store import OPENED, open_zarr, write_zarr
 from jaxurban.io.stored import GEOTIFF_FOLDER, RUN_FILE, are_of_a_run, root_files, stored_settings
@@ -82,7 +82,7 @@ def open_maps(
     """Return the maps that ``MetricMaps.save`` or ``jaxurban maps`` wrote under ``folder``.
 
     The files of the maps must all exist; they are read, and compared with their checksums, when values are needed.
-    GeoTIFFs are not looked at, as nothing here reads them.
+    A missing GeoTIFF of ``jaxurban maps`` is only a warning, as nothing here reads it.
 
     Args:
       folder: the output folder.
@@ -104,6 +104,12 @@ def open_maps(
     """
     folder = Path(folder)
     ds = open_zarr(folder, resolution_m)
+    lost = missing_geotiffs(ds, folder) if RUN_KEY in ds.attrs else []
+    if lost:
+        others = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
+        warn(
+            f"{str(lost[0])!r}{others} is missing or empty: the same `jaxurban maps` command writes it again"
+        )
     base = folder.resolve() / BASE_MAP_FILE
     maps = MetricMaps(ds, obstacles, base if base.is_file() else None)
     settings = stored_settings(folder)

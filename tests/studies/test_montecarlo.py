@@ -238,8 +238,7 @@ def test_rows_say_what_plan_says(alpha, instances, cost_model):
     for instance in instances[:4]:
         rows = rows_of(alpha, instance, WEIGHTED, settings, instance["time_of_day"])
         ends = {
-            f"{end}_xy_m": (instance[f"{end}_x_m"], instance[f"{end}_y_m"])
-            for end in ("start", "goal")
+            end: ju.XY(instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal")
         }
         weights = ju.Weights(
             **{name.removeprefix("w_"): instance[name] for name in weight_columns(())}
