@@ -48,7 +48,9 @@ def plot_difference(result: MapComparison, layer: str) -> Figure:
     has_data = result.a.ds["has_data"].values & result.b.ds["has_data"].values
     panels = []
     maps = change.values.reshape(-1, *has_data.shape)
-    for values, row in zip(maps, rows.astype(object).fillna("").to_dict("records"), strict=False):
+    for values, row in zip(
+        maps, rows.astype(object).where(rows.notna(), "").to_dict("records"), strict=False
+    ):
         altitude = "" if row["altitude_m"] == "" else f"{row['altitude_m']:g} m"
         num = row["higher"] + row["lower"]
         text = f"mean {row['mean']:+.3g}, {num:,} of {row['cells']:,} cells changed"
