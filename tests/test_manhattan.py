@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from figures.paper.common import CENSUS, ORBITS, OSM
+from figures.paper.common import CENSUS, ORBITS, OSM, population_totals
+from jaxurban.maps.run import load_city
+from jaxurban.maps.scenario import Scenario
 from tests.cli_runs import run
 
 pytestmark = pytest.mark.data
@@ -25,7 +27,7 @@ def test_the_census_of_all_manhattan_adds_up(data_dir, tmp_path, capsys):
     )
     assert run(capsys, "maps", scenario, "-o", tmp_path / "out")[0] == 0
     record = json.loads((tmp_path / "out" / "run.json").read_text())
-    night = record["population"]["night"]
+    night = population_totals(load_city(Scenario.from_toml(scenario)).blocks)["night"]
     assert (night["commercial"], night["residential"], night["total"]) == (
         611_934,
         965_451,
