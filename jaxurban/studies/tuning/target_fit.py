@@ -156,7 +156,7 @@ def fit_targets(
       >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
       >>> fit = ju.fit.fit_targets(queries, ["detour<=0.2"], settings=ju.fit.FitSettings(max_rounds=2))
       >>> fit.sentence
-      'All targets are met on the average of the routes that the weights were fitted to.'
+      'The first weights that were tried meet all targets on average: nothing was fitted.'
       >>> fit.outcomes[["wished", "shortest", "is_met"]]
                      wished  shortest  is_met
       wish
