@@ -381,6 +381,8 @@ class Workspace:
                 raise OSError(f"{str(obstacle)!r} is no folder")
             aside.parent.mkdir(parents=True, exist_ok=True)
             path.rename(aside)
+        except FileNotFoundError:  # a worker that still ran has put it in place, or removed it
+            return
         except OSError as error:
             raise InputError(
                 f"{str(path)!r} is in the way and cannot be moved ({reason_of(error)}): move it, or {ELSEWHERE}"
