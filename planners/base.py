@@ -17,7 +17,6 @@ from jaxurban.kernels.search.heap import NO_PARENT
 from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.kernels.tolerances import SAME_COST
 from jaxurban.planners.cost import CostModel, PathFeatures, allowed_moves, path_features
-from jaxurban.settings import CostKind
 
 # Row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest.
 Cell = tuple[int, ...]
@@ -251,9 +250,9 @@ class Problem:
         other = replace(self, costs=costs, weights=self.weights if weights is None else weights)
         return other._changed(cache=ProblemCache(self.cache.cells))
 
-    def features(self, points_m: np.ndarray, kind: CostKind | None = None) -> PathFeatures:
+    def features(self, points_m: np.ndarray) -> PathFeatures:
         """Return what a path adds up (see `planners.cost.path_features`): its cost is weights . features."""
-        return path_features(self, points_m, kind)
+        return path_features(self, points_m)
 
     def cost_of(self, points_m: np.ndarray) -> float:
         """Return the cost of a path (points as in `features`); inf where it is not valid."""

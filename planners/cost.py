@@ -216,9 +216,7 @@ class PathFeatures:
         )
 
 
-def path_features(
-    problem: "Problem", points_m: np.ndarray, kind: CostKind | None = None
-) -> PathFeatures:
+def path_features(problem: "Problem", points_m: np.ndarray) -> PathFeatures:
     """Return the features of a path on a problem's map (`Problem.features`): what the weights multiply in its cost.
 
     Under ``cell`` (the paper's transition cost) each step between states costs the layers of the cell in which it
@@ -231,7 +229,6 @@ def path_features(
       problem: whose costs, free cells and cost model count.
       points_m: ``[N, 2]`` x, y in metres from the map's southwest corner, ``N >= 1``; in a volume ``[N, 3]`` x, y,
         altitude: straight legs on a level, and steps between neighbouring nodes where the level changes.
-      kind: of cost model, instead of the problem's.
 
     Raises:
       InputError: points that are not finite metres of these shapes.
@@ -259,7 +256,7 @@ def path_features(
 
     # The cells whose costs count, and how often: by length under `line`; under `cell`, of each state once. A state lies
     # in the last cell of its step, and a step of no length at the end is none.
-    if (kind or problem.cost_model.kind) == "line":
+    if problem.cost_model.kind == "line":
         counted = crossed
         count = cut.length_m / problem.cost_model.reference_length_m
     else:
