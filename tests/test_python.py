@@ -5,6 +5,7 @@ import dataclasses
 import inspect
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -20,6 +21,7 @@ from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban.flights.export.write import write_path
+from jaxurban.maps.citation import PAPER, SOFTWARE
 from jaxurban.plot import bare, plot_metric, plot_overview, plot_paths
 from jaxurban.public import NAMESPACES, PICTURES, TYPES
 from jaxurban.typing import PlannedPaths
@@ -178,6 +180,23 @@ def test_what_to_cite_names_the_version_and_ends_with_the_credit_of_the_data():
     assert data == ([f"Data: {MAPS.attribution}."] if MAPS.attribution else [])
     credited = type(MAPS)(MAPS.ds.assign_attrs(attribution="© some city"))
     assert ju.cite(credited).endswith("\nData: © some city.")
+    assert ju.cite().splitlines() == [software, paper]
+
+
+def test_bibtex_says_what_the_text_says():
+    entries = ju.cite(form="bibtex")
+    assert re.findall(r"^@(\w+)\{(\w+),$", entries, re.MULTILINE) == [
+        ("software", "jaxurban"),
+        ("misc", "ochoa2021"),
+    ]
+    assert entries.count("{") == entries.count("}")
+    assert f"version = {{{ju.__version__}}}" in entries
+    plain = re.sub(r"[{}]", "", entries)
+    author, software = SOFTWARE.split(": ", 1)
+    paper = PAPER.split(": ")[1].split(", https")[0]
+    for said in (author, software, paper, "10.48550/arXiv.2102.07218"):
+        assert said in plain
+    assert ju.cite(MAPS, "bibtex").endswith(ju.cite(MAPS).splitlines()[-1])
 
 
 def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():

@@ -1,6 +1,7 @@
 """What whoever publishes maps cites, and whom they credit."""
 
 from importlib.metadata import version
+from typing import Literal
 
 from jaxurban.checks import typed
 from jaxurban.maps.metric_maps import MapsLike, as_maps
@@ -13,13 +14,29 @@ PAPER = (
 )
 
 
+BIBTEX = """@software{{jaxurban,
+  author = {{{{The jaxurban authors}}}},
+  title = {{{{jaxurban}}: urban metric maps and path planning for small drones}},
+  version = {{{version}}},
+}}
+@misc{{ochoa2021,
+  author = {{Ochoa, Cosme A. and Atkins, Ella M.}},
+  title = {{Urban Metric Maps for Small Unmanned Aircraft Systems Motion Planning}},
+  year = {{2021}},
+  eprint = {{2102.07218}},
+  archivePrefix = {{arXiv}},
+  doi = {{10.48550/arXiv.2102.07218}},
+}}"""
+
+
 @typed
-def cite(maps: MapsLike) -> str:
-    """Return what to cite beside maps and routes on them, a line each: the software, the paper, the credit of the data.
+def cite(maps: MapsLike | None = None, form: Literal["text", "bibtex"] = "text") -> str:
+    """Return what to cite beside maps and routes on them: the software, the paper, the credit of the data.
 
     Args:
-      maps: from `build_maps` or `open_maps`, or their folder. Without a credit, as of data of your own, that line is
-        left out.
+      maps: from `build_maps` or `open_maps`, or their folder. Without them, and without a credit, as of data of your
+        own, the last line is left out.
+      form: ``"text"``, a line each, or ``"bibtex"``, two entries, with the credit as a line of text after them.
 
     Returns:
       The text. Its version is that of the jaxurban that runs; ``run.json`` beside the maps holds that which made them.
@@ -31,6 +48,9 @@ def cite(maps: MapsLike) -> str:
       >>> print(ju.cite(maps).splitlines()[-1])
       Data: ...
     """
-    credit = as_maps(maps).attribution
+    credit = "" if maps is None else as_maps(maps).attribution
     data = f"\nData: {credit}." if credit else ""
-    return f"{SOFTWARE}, version {version('jaxurban')}.\n{PAPER}.{data}"
+    running = version("jaxurban")
+    if form == "bibtex":
+        return BIBTEX.format(version=running) + data
+    return f"{SOFTWARE}, version {running}.\n{PAPER}.{data}"
