@@ -1,8 +1,8 @@
 """The files of docs/guides/recipes.md are read back by other libraries, and hold what the maps hold."""
 
 import sqlite3
+from pathlib import Path
 
-import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,7 +14,7 @@ from tests.test_docs import PAGES, Block, blocks_of, folder, prepared  # noqa: F
 
 RECIPES: dict[str, Block] = dict(
     zip(
-        ("gps", "tiles", "nav2", "site", "course"),
+        ("gps", "tiles", "nav2", "paper"),
         blocks_of(next(page for page in PAGES if page.name == "recipes.md")),
         strict=True,
     )
@@ -87,23 +87,12 @@ def test_a_map_of_ros_has_its_cells_at_their_places(made):
             assert abs(value / 99 - weighed) <= 0.5 / 99 + 1e-6
 
 
-@pytest.mark.parametrize("made", ["site"], indirect=True)
-def test_the_table_of_a_site_is_that_of_the_maps(made):
-    table = pd.read_csv("site.csv", index_col="time")
-    assert len(table) == 6
-    for time, row in table.iterrows():
-        assert row["tdop"] == pytest.approx(made["of_day"].m("tdop", time=time)[made["site"]])
-    assert table["num_visible"].nunique() > 1
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxurban.errors.GuessWarning")
-@pytest.mark.parametrize("made", ["course"], indirect=True)
-def test_the_exercise_has_an_answer(made):
-    seen = [*made["seen"].values()]
-    assert seen == sorted(seen)
-    assert made["better"].metrics["gps"] > made["straight"].metrics["gps"]
-    assert made["better"].length_m > made["straight"].length_m
-    for name in ("straight", "better"):
-        (line,) = gpd.read_file(f"{name}.geojson").geometry
-        np.testing.assert_allclose(line.coords, made[name].lonlat, atol=1e-7)
+@pytest.mark.parametrize("made", ["paper"], indirect=True)
+def test_the_figure_shows_the_five_planners_under_the_rules_of_the_paper(made):
+    assert [path.search.planner for path in made["paths"]] == made["planners"]
+    for path in made["paths"]:
+        assert path.settings["cost_model"] == "cell"
+        assert path.settings["obstacles"] == "centre"
+    assert Path("figure.pdf").read_bytes().startswith(b"%PDF")
