@@ -19,7 +19,7 @@ OLDEST_PYTHON = $(call answering,$(FLOOR))
 EVERY ?= 1
 FLOOR := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 
-.PHONY: demo test test-newest renew-newest test-oldest test-slow test-docs lint wheel placeholders notebooks figures figures-small bench bench-gpu cuda-compile docs clean
+.PHONY: demo owner test test-newest renew-newest test-oldest test-slow test-docs lint wheel placeholders notebooks figures figures-small bench bench-gpu cuda-compile docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -74,6 +74,12 @@ wheel: $(VENV)/.dev $(VENV)/.release
 placeholders:
 	@git grep -nIE 'OWNER(@|\.github|/)|PLACE[H]OLDER|\(unreleased\)|^## Unreleased' -- ':!tests'; \
 	  test $$? = 1 || { echo "fill these in before a release" >&2; exit 2; }
+
+# Fills in who publishes: make owner NAME=account.
+owner:
+	@test -n "$(NAME)" || { echo "say who publishes: make owner NAME=account" >&2; exit 2; }
+	sed -i.before 's/OWNER/$(NAME)/g' pyproject.toml
+	rm pyproject.toml.before
 
 notebooks: $(VENV)/.dev
 	$(BIN)/python notebooks/run_all.py -o out/notebooks
