@@ -108,7 +108,8 @@ class PlannedPath(FactsRepr):
         metrics = ", ".join(f"{name} {m:.2f}" for name, m in self.metrics.items())
         return facts | {
             "cost": f"{self.cost:,.2f}",
-            "length": f"{self.length_m:,.0f} m in {len(self.xy_m):,} points",
+            "length": f"{self.length_m:,.0f} m in {len(self.xy_m):,} point"
+            + "s" * (len(self.xy_m) > 1),
             "altitude": altitude,
             "mean metrics": metrics or "none",
         }

@@ -514,11 +514,11 @@ class Grid:
 
         Examples:
           >>> lon, lat = maps.grid.lonlat_of_xy(586_650.0, 4_514_550.0)
-          >>> round(float(lon), 5), round(float(lat), 5)
+          >>> round(lon, 5), round(lat, 5)
           (-73.97315, 40.77736)
         """
-        lon, lat = transformer(self.crs, WGS84).transform(x_m, y_m)
-        return np.asarray(lon)[()], np.asarray(lat)[()]
+        lon, lat = map(np.asarray, transformer(self.crs, WGS84).transform(x_m, y_m))
+        return (lon, lat) if lon.ndim else (lon.item(), lat.item())
 
     def xy_at(self, lonlat: np.ndarray) -> np.ndarray:
         """Return CRS coordinates of longitudes and latitudes (WGS 84, degrees), pairs in the last dimension.
@@ -577,7 +577,7 @@ class Grid:
 
         Examples:
           >>> lon, lat = maps.grid.lonlat_of_cell(2, 2)
-          >>> round(float(lon), 5), round(float(lat), 5)
+          >>> round(lon, 5), round(lat, 5)
           (-73.97315, 40.77736)
         """
         return self.lonlat_of_xy(*self.xy_of_cell(row, col))
