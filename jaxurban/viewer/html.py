@@ -25,7 +25,7 @@ SUFFIX = ".html"
 PARTS = {
     "markup": ["viewer.html"],
     "style": ["viewer.css"],
-    "script": ["doors.js", "drawing.js", "viewer.js"],
+    "script": ["doors.js", "drawing.js", "missions.js", "viewer.js"],
 }
 
 

@@ -25,7 +25,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.base import ALTITUDE, Scale, Variable
 from jaxurban.metrics.custom import is_of_sky
-from jaxurban.metrics.gps import FIX
+from jaxurban.metrics.gps import DOPS, FIX
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR
 from jaxurban.paths.closed import CAUSES, causes_at, obstacles_at
 from jaxurban.paths.plan import rules_on
@@ -33,7 +33,7 @@ from jaxurban.viewer.markup import legend
 
 # Of the causes that close cells without an obstacle.
 CAUSE_COLOURS = "#8da0cb", "#66c2a5", "#a6d854", "#fc8d62", "#e78ac3"
-H_NORM = "h_norm"
+H_NORM, DILUTION = "h_norm", "Dilution of precision"
 BAR_COLOURS = 256  # steps of the bar of a layer without classes
 CLOSED = Variable(
     "closed",
@@ -159,7 +159,7 @@ def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
     add(CLOSED.name, CLOSED, "Costs")
 
     # The variables that are no metric.
-    for group in ("Satellites", "Ground", "Further maps"):
+    for group in ("Satellites", DILUTION, "Ground", "Further maps"):
         for name, variable in variables.items():
             if name not in maps.metrics and group == _group(maps, variable):
                 add(name, variable, group)
@@ -169,6 +169,8 @@ def layers_of(maps: MetricMaps) -> dict[str, DrawnLayer]:
 
 def _group(maps: MetricMaps, variable: Variable) -> str:
     """Return the heading of the list in which a variable stands that is neither a metric nor a cost."""
+    if variable.name in DOPS:
+        return DILUTION
     if is_of_sky(maps.ds, variable):
         return "Satellites"
     return "Further maps" if ALTITUDE in variable.dims and variable.name != "obstacle" else "Ground"

@@ -11,13 +11,15 @@ from matplotlib.figure import Figure
 
 from jaxurban.draw.profile import plot_profile
 from jaxurban.draw.style import bare
+from jaxurban.flights.check_result import MissionCheck
 from jaxurban.flights.export.write import FORMATS
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.variables import GROUP_COLOURS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import RouteReport, short
 
-PANEL_IN = 1.0  # height of a panel of a profile, which has the width of a column
+PROFILE_MM = 85.0  # width of a profile, whose letters then are 10 px high on a phone
+PANEL_IN = 1.0  # height of its panels
 DRAWING = Lock()  # the look of figures is set for the whole process while one is drawn
 
 
@@ -113,6 +115,16 @@ def route_button(planner: str, colour: str, text: str, note: str) -> str:
     return f'<button class="jv-route">{dot(colour)}{escape(planner)}<b>{escape(text)}</b>{below}</button>'
 
 
+def findings(result: MissionCheck) -> str:
+    """Return a button for each finding of a mission: its number, kind and depth, and its sentence."""
+    html = ""
+    rows = result.findings[["kind", "by_m"]].itertuples(index=False)
+    for number, ((kind, by_m), text) in enumerate(zip(rows, result.sentences, strict=True), 1):
+        depth = "" if np.isnan(by_m) else f", by {by_m:.1f} m"
+        html += f'<button class="jv-finding"><b>{number} {kind}{depth}</b>{escape(text)}</button>'
+    return html
+
+
 def sentences(texts: Iterable[tuple[str, str]]) -> str:
     """Return paragraphs, each given by its level and its text."""
     return "".join(f'<p class="jv-{escape(level)}">{escape(text)}</p>' for level, text in texts)
@@ -162,8 +174,8 @@ def picture(figure: Figure, text: str) -> str:
 def profile(planned: PlannedPath, maps: MetricMaps, report: RouteReport) -> str:
     """Return the profile of a route (`plot_profile`) and, over its panels, a line at the place that is pointed at."""
     with DRAWING:
-        figure = plot_profile(planned, maps, report, width="column")
-        text = figure.get_suptitle()
+        figure = plot_profile(planned, maps, report, width=PROFILE_MM)
+        text = " ".join(figure.get_suptitle().split())
         bare(figure).set_figheight(PANEL_IN * len(figure.axes))
         image = picture(figure, text)
     highest, *_, lowest = (panel.get_position() for panel in figure.axes)

@@ -26,7 +26,7 @@ from jaxurban.paths.route_report import RouteReport
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.settings import DEFAULTS, PlannerName, Preset
-from jaxurban.viewer.requests import Plan
+from jaxurban.viewer.requests import Limits, Plan
 from jaxurban.viewer.tiles import Kept
 
 ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the command names
@@ -157,7 +157,7 @@ class Plans:
 
         # The values of options with several, and the value of each option, None for one that is left out; the text of a
         # number gives the same number again.
-        limits = self._constraints(query)
+        limits = self.constraints(query)
         search = {"planner": query.planner, "budget_s": _budget_s(query.planner), "seed": 0}
         rules = {
             "cost_model": query.cost_model,
@@ -216,14 +216,14 @@ class Plans:
                 time=at.time,
                 time_of_day=at.time_of_day,
                 objective="weighted",
-                constraints=self._constraints(query),
+                constraints=self.constraints(query),
             )
 
         # Weights that the page does not say stay. The key holds all else that a cost map depends on.
         weights = Weights.of(self.weights.to_dict() | query.weights)
         return self._cost_maps.get((at, OF_MAP(query)), make).with_weights(weights)
 
-    def _constraints(self, query: Plan) -> Constraints:
+    def constraints(self, query: Limits) -> Constraints:
         """Return what closes cells to a query: the scenario's limits with the query's clearances and drawn zones.
 
         Raises:

@@ -2,9 +2,10 @@
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, ValidationError
 
 from jaxurban.errors import InputError
+from jaxurban.flights.missions.parts import Datum
 from jaxurban.settings import DEFAULTS, CostKind, ObstacleRule, Rules, UnknownHeights
 
 MOST_LETTERS = 64 * 1024  # of zones
@@ -23,30 +24,49 @@ class Request(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Plan(Request):
-    """A route that is wanted; `jaxurban.plan` names the same.
+class Limits(Request):
+    """What routes and missions must keep, and when they fly.
 
     ``zones`` is GeoJSON of the no-fly zones drawn, as text. Left out, ``vertical_clearance_m`` is that of the maps'
-    scenario, ``unknown_heights`` that of flights (`Constraints.for_flight`), ``flight_m``, the altitude of flight, the
-    level of ``at``, and speed and power those of the vehicle.
+    scenario, and ``unknown_heights`` that of flights (`Constraints.for_flight`).
+    """
+
+    at: MapIndex
+    clearance_m: Metres = Rules.clearance_m
+    vertical_clearance_m: Metres | None = None
+    unknown_heights: UnknownHeights | None = None
+    zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
+
+
+class Plan(Limits):
+    """A route that is wanted; `jaxurban.plan` names the same.
+
+    Left out, ``flight_m``, the altitude of flight, is the level of ``at``; speed and power are those of the vehicle.
     """
 
     start: Place
     goal: Place
-    at: MapIndex
     weights: dict[Name, Weight]
     planner: Name = DEFAULTS.planner
     cost_model: CostKind = Rules.cost_model
     obstacles: ObstacleRule = Rules.obstacles
-    clearance_m: Metres = Rules.clearance_m
-    vertical_clearance_m: Metres | None = None
-    unknown_heights: UnknownHeights | None = None
     flight_m: Metres | None = None
     speed_m_s: Metres | None = None
     power_w: Metres | None = None
     snap: Annotated[bool, Field(strict=True)] = True
     on_ground: Annotated[bool, Field(strict=True)] = False
-    zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
+
+
+class Mission(Limits):
+    """A mission of another tool.
+
+    ``file`` is the name of its file, ``data`` its bytes in base64, and ``heights`` what its heights are above where it
+    leaves that open.
+    """
+
+    file: Name
+    data: Base64Bytes
+    heights: Datum | None = None
 
 
 class View(Request):

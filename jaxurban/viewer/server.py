@@ -13,6 +13,7 @@ from threading import Lock
 from typing import Any
 
 from jaxurban.errors import InputError, RemadeError
+from jaxurban.flights.missions.mission import MOST_BYTES
 from jaxurban.progress import LOG
 from jaxurban.viewer.html import html_page, policy_of
 from jaxurban.viewer.tiles import LEVEL
@@ -20,6 +21,7 @@ from jaxurban.viewer.viewer import BYTES, JSON, Answer, Viewer
 
 HOST = "127.0.0.1"
 MOST_BODY = 128 * 1024  # bytes of a request
+MOST_MISSION = 3 * MOST_BYTES // 2  # of one with a mission, which base64 lengthens by a third
 PATIENCE_S = 20.0  # for the next bytes of a request
 ASK = "/ask/"
 
@@ -124,7 +126,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RefusedError(HTTPStatus.NOT_FOUND, f"requests go to {ASK}NAME")
         if self.headers.get_content_type() != JSON:
             raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"a request is {JSON}")
-        body = self._body()
+        body = self._body(MOST_MISSION if path == f"{ASK}check" else MOST_BODY)
         try:
             params = json.loads(body)
         except (ValueError, RecursionError) as error:
@@ -133,18 +135,18 @@ class _Handler(BaseHTTPRequestHandler):
         viewer.check_current(key)
         return viewer.answer(path.removeprefix(ASK)[:40], params)
 
-    def _body(self) -> bytes:
+    def _body(self, most: int) -> bytes:
         """Return the body of a request.
 
         Raises:
-          _RefusedError: the request does not say how long its body is, or it is longer than `MOST_BODY`.
+          _RefusedError: the request does not say how long its body is, or it has more than ``most`` bytes.
         """
         length = self.headers.get("Content-Length", "")
         if "Transfer-Encoding" in self.headers or not length.isdecimal():
             raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "give the length of the request")
-        if len(length) > 9 or int(length) > MOST_BODY:
+        if len(length) > 9 or int(length) > most:
             raise _RefusedError(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request is at most {MOST_BODY} bytes"
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request is at most {most} bytes"
             )
         return self.rfile.read(int(length))
 

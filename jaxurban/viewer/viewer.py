@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from functools import cached_property, partial
 from html import escape
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any, NamedTuple
 from uuid import uuid4
 
@@ -17,9 +17,14 @@ from jaxurban.checks import one_of
 from jaxurban.draw.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.draw.metrics import group_numbers, line_colour
 from jaxurban.draw.paths import planner_colours
+from jaxurban.draw.profile import ALTITUDE_COLOUR
 from jaxurban.errors import InputError, JaxurbanError, RemadeError
+from jaxurban.flights.check import check
 from jaxurban.flights.export.base import waypoints
+from jaxurban.flights.missions.mission import MOST_BYTES, read_mission
+from jaxurban.flights.report import FOUND_COLOUR
 from jaxurban.flights.return_altitude import NAME, return_altitude
+from jaxurban.io.city import City
 from jaxurban.io.store import OPENED
 from jaxurban.io.tables import number_or_none
 from jaxurban.maps.metric_maps import MetricMaps
@@ -51,6 +56,7 @@ from jaxurban.viewer.outlines import STEP_M, packed_outlines
 from jaxurban.viewer.plans import Plans
 from jaxurban.viewer.requests import (
     Cell,
+    Mission,
     Plan,
     Request,
     Save,
@@ -78,6 +84,9 @@ TOTALS = (  # of `RouteReport.facts`; the costs of layers stand below these, and
     "time s",
     "energy wh",
 )
+
+
+STATE_LEVELS = {"clean": "note", "findings": "limit", "not-judged": "guess"}  # as of cautions
 
 
 class Answer(NamedTuple):
@@ -136,6 +145,7 @@ class Viewer:
             "why": (Plan, self.why),
             "report": (Plan, self.report),
             "save": (Save, self.save),
+            "check": (Mission, self.check),
         }
 
     def answer(self, name: Any, params: Any) -> Answer:
@@ -195,6 +205,8 @@ class Viewer:
             "strides": strides_of(grid.shape),
             "weights": {name: float(self.plans.weights[name]) for name in self._labels},
             "planner_colours": PLANNER_LINES,
+            "mission_colours": [ALTITUDE_COLOUR, FOUND_COLOUR],
+            "most_bytes": MOST_BYTES,
             "altitudes_m": self.maps.altitudes_m,
             "has_base": self.maps.base_map is not None,
             "no_fix": FIX if FIX in self.layers else None,
@@ -222,12 +234,8 @@ class Viewer:
 
     def outlines(self, _: Request) -> bytes:
         """Return the outlines of all that stands (`packed_outlines`): exact ones where the city can be read again."""
-        try:
-            standing = self._sight.city.standing  # reads the city
-        except (JaxurbanError, OSError) as error:
-            LOG.info(f"buildings are outlined by the cells of the maps: {error}")
-            standing = None
-        return packed_outlines(self.maps, standing)
+        city = self._city  # reads it
+        return packed_outlines(self.maps, None if city is None else city.standing)
 
     def _texts(self, north_deg: float) -> dict[str, str]:
         """Return the texts and lists of the page as HTML, by the names of their places.
@@ -253,6 +261,7 @@ class Viewer:
         return {
             "title": escape(self.name),
             "guesses": escape(guessed and f"Guessed: {guessed}"),
+            "num-guesses": f"What these maps guess ({len(maps.guesses)})",
             "guesses-text": escape("\n".join(guess.sentence for guess in maps.guesses)),
             "place": "<br>".join([place_said(grid), cells, north]),
             "credit": escape(maps.attribution),
@@ -365,8 +374,7 @@ class Viewer:
     def values_at(self, cell: Cell) -> list[dict[str, Any]]:
         """Return what the list under the pointer shows of a cell, in its order.
 
-        A row has the name of a layer, its value (None where it has none) and its `_words`. Below the density of people
-        comes the number of people in the cell.
+        A row has the name of a layer, its value (None where it has none) and its `_words`.
 
         Raises:
           InputError: a cell outside the maps, a number beyond its list, or as for `values`.
@@ -387,10 +395,6 @@ class Viewer:
             is_hidden = is_inside and layer.is_hidden
             value = math.nan if is_hidden else self._value_in(layer, cell)
             rows.append({"name": name, "value": number_or_none(value), **words})
-            if name == "density":
-                words |= {"told": "People in the cell", "unit": ""}
-                people = value * grid.resolution_m**2 / 1e6  # of people per km²
-                rows.append({"name": "people", "value": number_or_none(people), **words})
         return rows
 
     def _value_in(self, layer: DrawnLayer, cell: Cell) -> float:
@@ -431,6 +435,52 @@ class Viewer:
         ):  # the page shows what the maps guess
             return Sight.of(self.maps, None, self.sources)
 
+    @cached_property
+    def _city(self) -> City | None:
+        """The city of the maps, None where it cannot be read again: then what stands is known by their cells."""
+        try:
+            return self._sight.city
+        except (JaxurbanError, OSError) as error:
+            LOG.info(f"buildings are outlined by the cells of the maps: {error}")
+            return None
+
+    def check(self, query: Mission) -> dict[str, Any]:
+        """Return what the page shows of a mission, as `jaxurban.check` judges it; its file is nowhere written.
+
+        Returns:
+          As HTML ``state``, a sentence, ``findings``, a button each, ``not-judged`` and ``figures``. In metres
+          ``lines``, ``[N, 2, 2]`` the straight parts over the maps, ``places``, ``[F, 2]`` of the findings, and
+          ``heights``, ``[F]`` theirs above the ground, None where that is not known.
+
+        Raises:
+          InputError: a name that is not that of a file alone, or as for `jaxurban.check`.
+        """
+        if PureWindowsPath(query.file).name != query.file:
+            raise InputError(f"file must be a name without a folder, got {query.file!r}")
+        at = self.place(query.at)
+        result = check(
+            self.maps,
+            read_mission(query.file, heights=query.heights, data=query.data),
+            constraints=self.plans.constraints(query),
+            time=at.time,
+            time_of_day=at.time_of_day,
+            sources=self._city or self.sources,
+        )
+        facts = result.facts
+        state = STATE_LEVELS[result.state], facts.pop("state")
+        figures = [f"return: {text}" for text in result.return_lines]
+        figures += [f"{name}: {fact}" for name, fact in facts.items() if fact]
+        found = result.findings
+        return {
+            "state": sentences([state]),
+            "findings": markup.findings(result),
+            "not-judged": sentences(("guess", f"Not judged: {text}") for text in result.not_judged),
+            "figures": sentences(("note", text) for text in figures),
+            "lines": np.round(result.flight.lines_m - self.maps.grid.bounds_m[:2], 1),
+            "places": self._on_page(found[["lon", "lat"]].to_numpy(float)),
+            "heights": [*map(number_or_none, found["height_m"])],
+        }
+
     def sky(self, query: SkyRequest) -> str:
         """Return the sky over a place as HTML (`sky_html`).
 
@@ -461,7 +511,7 @@ class Viewer:
             "xy_m": planned.xy_m,
             "cost": number_or_none(planned.cost),
             "button": markup.route_button(
-                query.planner, PLANNER_LINES[query.planner], text, planned.message
+                query.planner, PLANNER_LINES[query.planner], text, planned.search.sentence
             ),
             "html": markup.cost_rows(planned.cost_by_layer, self._labels, self._colours),
             "message": planned.message,
@@ -537,7 +587,7 @@ def _words(layer: DrawnLayer) -> dict[str, Any]:
     """Return the words for a layer in the list of the values of a cell.
 
     ``told`` is the layer's label in the list, "" for that of closed cells, which the list leaves out. ``classes``
-    are the names of the layer's classes, and ``unit`` is its unit.
+    are the names of the layer's classes, ``unit`` is its unit, and ``group`` the heading that it stands under.
     """
     variable = layer.variable
     label = variable.symbol or variable.heading
@@ -545,7 +595,7 @@ def _words(layer: DrawnLayer) -> dict[str, Any]:
         label = ""
     classes = [name for name, _ in variable.classes]
     unit = {"1": "", "km-2": "per km²"}.get(variable.unit, variable.unit)
-    return {"told": label, "classes": classes, "unit": unit}
+    return {"told": label, "classes": classes, "unit": unit, "group": layer.group}
 
 
 def as_json(value: Any) -> bytes:

@@ -9,6 +9,7 @@ import shlex
 import sys
 import tomllib
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -307,9 +308,7 @@ def test_values_in_a_cell_are_the_maps_own_and_inside_an_obstacle_there_is_no_qu
     for name in ("gps", "lidar", "risk", "num_visible"):
         assert found[name] == float(MAPS.m(name, 60.0)[row, col])
     assert found["population"] == float(MAPS.m("population", time_of_day="night")[row, col])
-    assert found["people"] == pytest.approx(
-        float(MAPS.m("density", time_of_day="night")[row, col]) * 1e-4
-    )
+    assert found["density"] == float(MAPS.m("density", time_of_day="night")[row, col])
     assert found["roof"] == float(MAPS.m("roof")[row, col])
     wall = tuple(np.argwhere(MAPS.m("obstacle", 20.0) != 0)[0])
     said = values_in(viewer, wall)
@@ -320,6 +319,22 @@ def test_values_in_a_cell_are_the_maps_own_and_inside_an_obstacle_there_is_no_qu
         1,
     )
     assert said["roof"] == MAPS.m("roof")[wall]
+
+
+def test_values_in_a_cell_stand_under_the_headings_of_the_list_of_layers_the_five_dops_under_one():
+    kinds = ("gdop", "pdop", "hdop", "vdop", "tdop")
+    ds = MAPS.ds.assign({name: MAPS.ds["hdop"] for name in kinds})
+    viewer = Viewer(type(MAPS)(ds))
+    rows = answer(viewer, "values", at=[0, 0, 0], row=3, col=4)
+    groups = [row["group"] for row in rows]
+    assert len(set(groups)) == sum(a != b for a, b in pairwise(["", *groups]))  # each one in a row
+    of_dops = [row["name"] for row in rows if row["group"] == "Dilution of precision"]
+    assert sorted(of_dops) == sorted(kinds)
+    layers = answer(viewer, "scene")["html"]["layer"]
+    for part in layers.split("<optgroup ")[1:]:
+        label = re.search('label="(.*?)"', part)[1]
+        named = set(re.findall('value="(.*?)"', part)) - {"closed"}
+        assert named == {row["name"] for row in rows if row["group"] == label}
 
 
 def test_what_is_yes_or_no_in_a_cell_is_told_in_words():
@@ -333,9 +348,7 @@ def test_what_is_yes_or_no_in_a_cell_is_told_in_words():
         "height guessed",
     )
     assert all(
-        each["classes"] == []
-        for each in found
-        if each["name"] in ("gps", "roof", "density", "people")
+        each["classes"] == [] for each in found if each["name"] in ("gps", "roof", "density")
     )
 
 
@@ -407,14 +420,16 @@ def test_a_report_tells_what_the_route_meets_and_cautions_stand_outside_it_each_
     assert "segment" in found["report-text"]
 
 
-def test_a_route_names_its_status_and_each_end_that_was_moved(viewer):
+def test_a_route_names_its_status_and_the_report_once_each_end_that_was_moved(viewer):
     obstacle = MAPS.grid.lonlat_of_cell(*np.argwhere(MAPS.m("obstacle", 20.0) != 0)[40].tolist())
-    route = answer(viewer, "plan", **QUERY | {"goal": np.round(obstacle, 7).tolist()})
+    query = QUERY | {"goal": np.round(obstacle, 7).tolist()}
+    route, report = answer(viewer, "plan", **query), answer(viewer, "report", **query)
     moved_m = math.dist(route["xy_m"][-1], np.array(MAPS.grid.xy_of_lonlat(*obstacle)))
     assert "<small>The path is the cheapest one on the 8-neighbour grid" in route["button"]
-    assert f"The goal was not free: it was moved {moved_m:.1f} m" in route["button"]
-    assert "start was" not in route["button"]
-    assert "moved" not in answer(viewer, "plan", **QUERY)["button"]
+    said = report["cautions"] + report["report-text"] + route["button"]
+    assert said.count(f"The goal was not free: it was moved {moved_m:.1f} m") == 1
+    assert "start was" not in said
+    assert "moved" not in route["button"] + answer(viewer, "report", **QUERY)["cautions"]
 
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])

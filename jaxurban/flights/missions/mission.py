@@ -96,6 +96,7 @@ def read_mission(
     heights: Datum | None = None,
     home: LonLat | None = None,
     return_altitude_m: float | None = None,
+    data: bytes | None = None,
 ) -> Mission:
     """Return the mission of a file: its legs, and what of it is not judged.
 
@@ -105,6 +106,7 @@ def read_mission(
         absolute heights in KML are above.
       home: longitude and latitude in degrees, in place of the file's.
       return_altitude_m: metres above home at which the autopilot returns; left out, it is not known.
+      data: bytes that are read in place of the file's, of which the name alone then counts.
 
     Raises:
       InputError: no such file, another format, a file of more than `MOST_BYTES`, a mission that is damaged, empty or
@@ -127,7 +129,7 @@ def read_mission(
     if return_altitude_m is not None:
         return_m = positive("return_altitude_m", return_altitude_m)
 
-    with _opened(path, SUFFIXES) as (suffix, data):
+    with _opened(path, SUFFIXES, data) as (suffix, data):
         template = b""
         if suffix == ".kmz":
             suffix, data, template = unzipped(data)
@@ -164,8 +166,10 @@ def read_flight(path: str | Path) -> pd.DataFrame:
 
 
 @contextmanager
-def _opened(path: Path, suffixes: Iterable[str]) -> Iterator[tuple[str, bytes]]:
-    """Yield the suffix of a mission's file, one of ``suffixes``, and its bytes, and name it in errors."""
+def _opened(
+    path: Path, suffixes: Iterable[str], data: bytes | None = None
+) -> Iterator[tuple[str, bytes]]:
+    """Yield the suffix of a mission's file, one of ``suffixes``, and its bytes or ``data``, and name it in errors."""
     suffix = path.suffix.lower()
     if suffix in OTHERS:
         raise InputError(f"{path.name!r} is {OTHERS[suffix]}")
@@ -174,12 +178,13 @@ def _opened(path: Path, suffixes: Iterable[str]) -> Iterator[tuple[str, bytes]]:
             f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(suffixes)}"
         )
     with readable(path, "a mission", "save it again in the tool that made it"):
-        if path.stat().st_size > MOST_BYTES and suffix != ".ulg":
+        size = path.stat().st_size if data is None else len(data)
+        if size > MOST_BYTES and suffix != ".ulg":
             raise InputError(
                 f"{str(path)!r} holds more than 16 MB, which no mission does: name another file"
             )
         try:
-            yield suffix, path.read_bytes()
+            yield suffix, path.read_bytes() if data is None else data
         except (InputError, DamagedError):
             raise
         except (*BROKEN, *UNPACKING) as error:

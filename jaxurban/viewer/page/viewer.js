@@ -95,6 +95,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       spot(place, 1, '#1f2429', '#1f2429');
       mark(name, markOf(name));
     }
+    missions.paint(line, spot, label);
     const looked = state.tab === 'look' && (isOfHome() ? state.home : state.sky);
     for (const each of [looked, state.linked]) if (each) spot(each, 5, '#1f2429', '#fff');
     if (map.matches(':focus-visible')) spot([view.x, view.y], 3, '#fff', '#1f2429');
@@ -121,10 +122,14 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   };
   const markOf = name => state.marks[name] ?? state.ends[name]; // where the route itself begins or ends
   const mark = (name, place) => {
-    const [left, top] = toPixel(place), ink = '#1f2429';
+    const ink = '#1f2429';
     spot(place, 7, ...(name === 'start' ? ['#fff', ink] : [ink, '#fff']));
-    Object.assign(pen, { font: '600 12px system-ui', strokeStyle: '#fff', fillStyle: ink, lineWidth: 3 });
-    for (const write of ['strokeText', 'fillText']) pen[write](name, left + 11, top + 4);
+    label(name, place, ink);
+  };
+  const label = (text, place, fillStyle) => {
+    const [left, top] = toPixel(place);
+    Object.assign(pen, { font: '600 12px system-ui', strokeStyle: '#fff', fillStyle, lineWidth: 3 });
+    for (const write of ['strokeText', 'fillText']) pen[write](text, left + 11, top + 4);
   };
   // --- the sheet of controls; where the page is wider they stand beside the map, and it has nothing to open
   const sheet = root.querySelector('[data-do="sheet"]'), aside = root.querySelector('aside');
@@ -144,7 +149,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const { home } = state.shown?.request ?? {};
     const values = await ask('values', { at: places(), row: cell[0], col: cell[1], ...home && { home } });
     table.replaceChildren();
-    for (const { name, told, value, classes, unit } of values) {
+    let above = '';
+    for (const { name, told, value, classes, unit, group } of values) {
+      const heading = Object.assign(document.createElement('th'), { textContent: group, colSpan: 2 });
+      if (group !== above) table.insertRow().append(heading);
+      above = group;
       const row = table.insertRow(), text = classes[value] ?? `${number(value)} ${unit}`;
       Object.assign(row.dataset, { layer: name, value });
       row.className = name === field('layer').value ? 'jv-chosen' : '';
@@ -238,7 +247,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const move = (left, top) => () => view.shift(left, top);
     const put = end => () => click([view.x, view.y], end), isPlan = state.tab === 'plan';
     const acts = { '+': actions.closer, '-': actions.farther, 0: actions.fit, Enter: put(),
-      ...isPlan && { s: put('start'), g: put('goal'), z: actions.zone },
+      ...scene.can_plan && missions.keys, ...isPlan && { s: put('start'), g: put('goal'), z: actions.zone },
       Escape: () => { state.drawing = state.sky = null; showSky(); hint(); draw(); }, ArrowLeft: move(60, 0),
       ArrowRight: move(-60, 0), ArrowUp: move(0, 60), ArrowDown: move(0, -60) };
     const act = acts[event.key] ?? acts[event.key.toLowerCase()];
@@ -272,7 +281,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     tell(refused[0]?.message ?? found.find(route => !route.has_path)?.message ?? '', refused[0]?.isOld);
     showRoutes(found);
   });
-  const plan = () => { state.plans++; hint(); keep(); if (isReady()) planAll(); };
+  const plan = () => { state.plans++; hint(); keep(); missions.judge(); if (isReady()) planAll(); };
   const showRoutes = (routes, route = routes.find(each => each.has_path) ?? routes[0]) => {
     const marks = route?.has_path ? { start: route.xy_m[0], goal: route.xy_m.at(-1) } : {};
     const lines = sideBySide(routes.map(each => each.xy_m), side);
@@ -307,19 +316,20 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     if (state.framed === ends) return;
     state.framed = ends;
     reveal(is('routes'));
-    fitRoutes();
+    fitTo(() => [...Object.values(state.ends), ...state.routes.flatMap(each => each.has_path ? each.xy_m : [])]);
   };
-  const fitRoutes = () => {
+  const fitTo = cornersOf => { // now, and where the page changes its size
     const { offsetWidth: across, parentElement: { offsetHeight: below } } = is('legend');
     const [left0, bottom0] = map.clientWidth > 3 * across ? [across, 0] : [0, below]; // beside the legend, or above it
     const free = [left0 + 24, is('at').parentElement.offsetHeight + 24,
       map.clientWidth - 114, map.clientHeight - bottom0 - 24]; // right of an end stands its label
-    const corners = [...Object.values(state.ends), ...state.routes.flatMap(each => each.has_path ? each.xy_m : [])];
+    const corners = cornersOf();
+    if (!corners.length) return draw();
     const [[left, right], [low, top]] = [0, 1].map(k => corners.map(place => place[k])).map(each =>
       [Math.min(...each), Math.max(...each)]);
     const scale = 1.1 * Math.max((right - left) / (free[2] - free[0]), (top - low) / (free[3] - free[1]), side / 40);
     view.show((left + right - (free[0] + free[2] - map.clientWidth) * scale) / 2,
-      (low + top + (free[1] + free[3] - map.clientHeight) * scale) / 2, scale, fitRoutes);
+      (low + top + (free[1] + free[3] - map.clientHeight) * scale) / 2, scale, () => fitTo(cornersOf));
   };
   const link = k => { // the same place on the map and on the profile
     if (k === state.at) return;
@@ -337,6 +347,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const click = (place, end = state.ends.start ? 'goal' : 'start') => {
     if (!isInside(place) || !scene.can_plan) return;
     if (state.tab === 'look' && isOfHome()) { state.home = place; show(); }
+    else if (state.tab === 'check') missions.chooseAt(place);
     else if (state.tab === 'look') showSky(state.sky = place).then(() => reveal(is('sky-box')));
     else if (state.drawing) state.drawing.push(place);
     else { setEnd(end, place); plan(); }
@@ -363,7 +374,18 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     Object.assign(document.createElement('a'), { href, download: name }).click();
     setTimeout(() => URL.revokeObjectURL(href), 9000);
   };
+  const showLevel = height => { // on the map, unless a route is planned, whose altitude it is
+    const levels = scene.altitudes_m;
+    if (isReady() || height === null) return;
+    field('flight_m').value = +clamp(height, levels[0], levels.at(-1)).toFixed(1);
+    for (const settle of [between, show, keep]) settle();
+  };
+  const missions = missionsOf({ root, is, field, scene, ask, latest, tell, draw, view, rules, reveal, showLevel,
+    fitTo });
   const actions = {
+    mission: missions.pick,
+    close: missions.close,
+    map: () => map.focus(),
     zone: () => {
       if (state.drawing) return closeZone();
       state.drawing = [];
@@ -383,7 +405,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     closer: () => view.zoom(0.7),
     farther: () => view.zoom(1 / 0.7),
     fit: () => view.fit(),
-    reset: () => { state.sky = null; restore(first); between(); show(); showSky(); actions.clear(); actions.fit(); },
+    reset: () => {
+      state.sky = null;
+      restore(first);
+      for (const settle of [between, show, showSky, actions.clear, actions.fit, missions.close]) settle();
+    },
     copy: () => navigator.clipboard.writeText(is('command').textContent),
   };
   for (const [name, html] of Object.entries(scene.html)) (is(name) ?? field(name)).innerHTML = html;
@@ -438,7 +464,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     is('model').textContent = isAsked && model.value !== 'line' ? 'theta-star needs line, so the model is line.' : '';
     if (isAsked) model.value = 'line';
   };
-  for (const each of all('select, input:not([type="range"])')) each.onchange = () => {
+  for (const each of all('select, input:not([type="range"], [type="file"])')) each.onchange = () => {
     if (each.name === 'altitude') field('flight_m').value = scene.altitudes_m[each.value];
     if (each.name === 'altitude' || each.name === 'flight_m') between();
     for (const settle of [fitModel, show, showSky, plan]) settle();
@@ -449,7 +475,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const choose = tab => {
     state.tab = tab;
     for (const each of all('[data-tab]')) each.ariaSelected = each.dataset.tab === tab;
-    for (const page of all('[data-page]')) page.hidden = page.dataset.page !== tab;
+    for (const page of all('[data-page]')) page.hidden = !page.dataset.page.split(' ').includes(tab);
   };
   for (const button of all('[data-tab]')) button.onclick = () => {
     choose(button.dataset.tab);
