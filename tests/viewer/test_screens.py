@@ -1,7 +1,9 @@
 """The page on a phone, a tablet and a desktop, by touch and by keys: nothing is cut, and the map takes half of it."""
 
+import base64
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ MAPS = MetricMaps(MADE.ds.assign_attrs(GUESSES, attribution=CREDIT))
 GRID, FREE = MAPS.grid, np.argwhere(MAPS.is_free(20.0))
 START, GOAL = FREE[[3000, -3000]].tolist()
 PHONE = {"viewport": {"width": 375, "height": 812}, "has_touch": True, "is_mobile": True}
+NARROW = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 TABLET = {"viewport": {"width": 768, "height": 1024}, "has_touch": True}
 DESKTOP = {"viewport": {"width": 1440, "height": 900}}
 BUTTONS = ['[data-format=".geojson"]', '[data-format=".plan"]']
@@ -87,7 +90,7 @@ def test_no_text_is_cut_or_over_another_and_the_map_takes_half_of_each_screen(br
             assert share_of_map(page) >= 0.5 - 1e-6
 
         check()
-        for tab in ("look", "plan"):
+        for tab in ("look", "check", "plan"):
             page.click(f'[data-tab="{tab}"]')
             check()
         page.click("text=Planners and rules")
@@ -248,3 +251,56 @@ def test_keys_alone_plan_a_route_close_a_zone_and_save_both(browser, url, screen
         second = json.loads(kept('[data-format=".geojson"]'))["features"][0]
         assert second["geometry"] != first["geometry"]
         assert len(json.loads(kept('[data-do="save-zones"]'))["features"]) == 1
+
+
+@pytest.mark.parametrize("screen", [NARROW, DESKTOP], ids=["390", "1440"])
+def test_three_steps_of_tab_lead_to_the_map_from_the_start_and_from_each_tab(browser, url, screen):
+    with opened(browser, url, **screen) as page:
+
+        def steps_to(name: str) -> int:
+            for num in range(80):
+                if page.evaluate("name => document.activeElement.matches(name)", name):
+                    return num
+                page.keyboard.press("Tab")
+            raise AssertionError(f"no key reaches {name}")
+
+        assert steps_to("canvas") <= 3
+        for tab in ("look", "plan", "check"):
+            page.locator(f'[data-tab="{tab}"]').focus()
+            page.keyboard.press("Enter")
+            assert steps_to('[data-do="map"]') <= 3
+            skip = page.locator('[data-do="map"]')
+            assert skip.evaluate("each => getComputedStyle(each).opacity") == "1"
+            page.keyboard.press("Enter")
+            assert page.evaluate("document.activeElement.matches('canvas')")
+
+
+@pytest.mark.parametrize("screen", [NARROW, DESKTOP], ids=["390", "1440"])
+def test_the_letters_of_the_profile_are_10_pixels_high(browser, url, screen):
+    with opened(browser, url, **screen) as page:
+        page.click('[data-tab="plan"]')
+        if screen is NARROW:
+            page.locator('[data-do="sheet"]').tap()
+        page.locator("canvas").focus()
+        page.keyboard.press("0")
+        for cell in (START, GOAL):
+            page.mouse.click(*middle_of(page, cell))
+        settle(page)
+        picture = page.locator('[data-is="profile"] img')
+        source = base64.b64decode(picture.get_attribute("src").partition(",")[2]).decode()
+        wide = float(re.search(r'viewBox="0 0 ([\d.]+) ', source)[1])
+        sizes = {float(size) for size in re.findall(r"font: ([\d.]+)px", source)}
+        shown = picture.evaluate("each => each.getBoundingClientRect().width")
+        assert min(sizes) * shown / wide >= 10
+
+
+def test_on_a_phone_what_the_maps_guess_is_one_line_that_opens(browser, url):
+    with opened(browser, url, **NARROW) as page:
+        bar = page.locator(".jv-guess")
+        assert bar.inner_text() == f"What these maps guess ({len(MAPS.guesses)})"
+        assert bar.bounding_box()["height"] < 0.04 * 844
+        bar.locator("summary").tap()
+        for guess in MAPS.guesses:
+            assert guess.sentence in bar.inner_text()
+    with opened(browser, url, **DESKTOP) as page:
+        assert page.locator(".jv-guess").inner_text().startswith("Guessed: 3 % of heights")

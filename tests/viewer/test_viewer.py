@@ -331,9 +331,9 @@ def test_values_in_a_cell_stand_under_the_headings_of_the_list_of_layers_the_fiv
     of_dops = [row["name"] for row in rows if row["group"] == "Dilution of precision"]
     assert sorted(of_dops) == sorted(kinds)
     layers = answer(viewer, "scene")["html"]["layer"]
-    for part in layers.split("<optgroup ")[1:]:
-        label = re.search('label="(.*?)"', part)[1]
-        named = set(re.findall('value="(.*?)"', part)) - {"closed"}
+    for offered in layers.split("<optgroup ")[1:]:
+        label = re.search('label="(.*?)"', offered)[1]
+        named = set(re.findall('value="(.*?)"', offered)) - {"closed"}
         assert named == {row["name"] for row in rows if row["group"] == label}
 
 
