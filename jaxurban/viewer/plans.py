@@ -26,7 +26,7 @@ from jaxurban.paths.route_report import RouteReport
 from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.settings import DEFAULTS, PlannerName, Preset
-from jaxurban.viewer.requests import Limits, Plan
+from jaxurban.viewer.requests import Plan, RulesRequest
 from jaxurban.viewer.tiles import Kept
 
 ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the command names
@@ -223,7 +223,7 @@ class Plans:
         weights = Weights.of(self.weights.to_dict() | query.weights)
         return self._cost_maps.get((at, OF_MAP(query)), make).with_weights(weights)
 
-    def constraints(self, query: Limits) -> Constraints:
+    def constraints(self, query: RulesRequest) -> Constraints:
         """Return what closes cells to a query: the scenario's limits with the query's clearances and drawn zones.
 
         Raises:

@@ -24,7 +24,7 @@ class Request(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Limits(Request):
+class RulesRequest(Request):
     """What routes and missions must keep, and when they fly.
 
     ``zones`` is GeoJSON of the no-fly zones drawn, as text. Left out, ``vertical_clearance_m`` is that of the maps'
@@ -38,7 +38,7 @@ class Limits(Request):
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 
 
-class Plan(Limits):
+class Plan(RulesRequest):
     """A route that is wanted; `jaxurban.plan` names the same.
 
     Left out, ``flight_m``, the altitude of flight, is the level of ``at``; speed and power are those of the vehicle.
@@ -57,7 +57,7 @@ class Plan(Limits):
     on_ground: Annotated[bool, Field(strict=True)] = False
 
 
-class Mission(Limits):
+class MissionRequest(RulesRequest):
     """A mission of another tool.
 
     ``file`` is the name of its file, ``data`` its bytes in base64, and ``heights`` what its heights are above where it

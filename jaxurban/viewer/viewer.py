@@ -56,7 +56,7 @@ from jaxurban.viewer.outlines import STEP_M, packed_outlines
 from jaxurban.viewer.plans import Plans
 from jaxurban.viewer.requests import (
     Cell,
-    Mission,
+    MissionRequest,
     Plan,
     Request,
     Save,
@@ -145,7 +145,7 @@ class Viewer:
             "why": (Plan, self.why),
             "report": (Plan, self.report),
             "save": (Save, self.save),
-            "check": (Mission, self.check),
+            "check": (MissionRequest, self.check),
         }
 
     def answer(self, name: Any, params: Any) -> Answer:
@@ -444,7 +444,7 @@ class Viewer:
             LOG.info(f"buildings are outlined by the cells of the maps: {error}")
             return None
 
-    def check(self, query: Mission) -> dict[str, Any]:
+    def check(self, query: MissionRequest) -> dict[str, Any]:
         """Return what the page shows of a mission, as `jaxurban.check` judges it; its file is nowhere written.
 
         Returns:

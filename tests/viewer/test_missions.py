@@ -190,10 +190,13 @@ def by_button(page, file: Path) -> None:
 
 def by_keys(page, file: Path) -> None:
     """Open a file by the keys alone."""
+    choosers = []
+    page.on("filechooser", choosers.append)
     page.locator("canvas").focus()
-    with page.expect_file_chooser() as waiting:
-        page.keyboard.press("o")
-    waiting.value.set_files(file)
+    page.wait_for_timeout(500)  # until the browser hands its dialogs over
+    page.keyboard.press("o")
+    until(page, lambda: choosers)
+    choosers[0].set_files(file)
 
 
 def middle_ink(page) -> list[int]:

@@ -289,7 +289,7 @@ def test_the_letters_of_the_profile_are_10_pixels_high(browser, url, screen):
         picture = page.locator('[data-is="profile"] img')
         source = base64.b64decode(picture.get_attribute("src").partition(",")[2]).decode()
         wide = float(re.search(r'viewBox="0 0 ([\d.]+) ', source)[1])
-        sizes = {float(size) for size in re.findall(r"font: ([\d.]+)px", source)}
+        sizes = {float(size) for size in re.findall(r"font(?:-size)?: ([\d.]+)px", source)}
         shown = picture.evaluate("each => each.getBoundingClientRect().width")
         assert min(sizes) * shown / wide >= 10
 

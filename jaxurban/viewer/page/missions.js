@@ -9,6 +9,7 @@ function missionsOf({ root, is, field, scene, ask, latest, tell, draw, view, rul
   const [flown, wrong] = scene.mission_colours, texts = ['state', 'findings', 'not-judged', 'figures'];
   let file = null, asked = [], check = null, chosen = -1;
   const put = answer => {
+    if (chosen >= 0) tell(''); // of a finding that is gone
     [check, chosen] = [answer, -1];
     for (const name of texts) is(name).innerHTML = check?.[name] ?? '';
     if (check?.lines.length) fitTo(() => check?.lines.flat() ?? []);
