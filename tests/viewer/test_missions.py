@@ -191,7 +191,7 @@ def by_button(page, file: Path) -> None:
 def by_keys(page, file: Path) -> None:
     """Open a file by the keys alone."""
     choosers = []
-    page.on("filechooser", choosers.append)
+    page.on("filechooser", lambda chooser: choosers.append(chooser))
     page.locator("canvas").focus()
     page.wait_for_timeout(500)  # until the browser hands its dialogs over
     page.keyboard.press("o")
