@@ -15,7 +15,7 @@ from jaxurban.checks import positive, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.flights.check_result import MissionCheck
 from jaxurban.flights.contacts import Prisms, buildings_of, union_m
-from jaxurban.flights.flown import costs_of, figures_of
+from jaxurban.flights.flown import figures_of
 from jaxurban.flights.item_returns import by_item, departures_of, return_lines
 from jaxurban.flights.judge import SPAN, below_home, judged, placed
 from jaxurban.flights.legs import Flight, flight_of
@@ -26,7 +26,6 @@ from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.knowledge import GuessKind
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.sources import Standing, left_out, standing_on
-from jaxurban.metrics.weights import WeightsLike
 from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.closed import constraints_of
 from jaxurban.paths.constraints import Constraints
@@ -60,7 +59,6 @@ def check(
     max_people: float | None = None,
     ceiling_m: int = CEILING_M,
     swath_m: float = 10.0,
-    weights: WeightsLike = None,
     sources: City | str | Path | None = None,
 ) -> MissionCheck:
     """Return the findings of a mission over maps, whatever tool made it, with what cannot be judged and figures.
@@ -99,7 +97,6 @@ def check(
       ceiling_m: whole metres above the ground, which no height that clears a finding exceeds, and no return altitude
         to type.
       swath_m: width of the strip in which people are counted.
-      weights: weights of the cost; left out, those of the maps' scenario.
       sources: the City, or the folder at which the recorded files' paths begin.
 
     Returns:
@@ -154,7 +151,6 @@ def check(
     buildings = buildings_of(maps, city)
     findings, unknown = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
     figures |= figures_of(flight, maps, times, time_of_day, swath_m)
-    figures |= costs_of(flight, maps, weights, limits, times[0], time_of_day)
     exceeded, open_limits = _against_maxima(flight, figures, max_no_fix_m, max_people)
     # Empty tables are left out, since their columns would change the types of the others.
     tables = [table for table in (findings, exceeded) if len(table)]

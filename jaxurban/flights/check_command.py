@@ -23,7 +23,6 @@ from jaxurban.terminal.common import (
     RESOLUTION,
     SOURCES,
     TIME_OF_DAY,
-    WEIGHTS,
     ZONES,
     Point,
     Settings,
@@ -85,7 +84,6 @@ class Limits(TypedDict):
 @TIME_OF_DAY
 @click.option("--limits", type=Values(Limits), default="", help="What the flight must keep within.")
 @CORRIDOR
-@WEIGHTS
 @SOURCES
 @RESOLUTION
 @FILES(help="Folder of the report, or a file of findings: .geojson, .csv or .parquet; repeatable.")

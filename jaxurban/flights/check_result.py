@@ -34,10 +34,6 @@ NUMBERS = {  # of `MissionCheck.figures`, in words; one that is missing leaves i
     "densest kilometre": "{densest_km_people:,.0f} people, from {densest_km_from_m:,.0f} m on",
     "nearest obstacle": "{nearest_wall_m:,.1f} m away, by cells",
     "lowest over roofs": "{least_over_roofs_m:,.1f} m, by cells",
-    "cost": "{cost:,.1f} at {compared_at_m:g} m above the ground: {cost_by_layer}",
-    "exposure": "{exposure_by_layer}",
-    "cheapest route": "{cheapest_cost:,.1f} over {cheapest_length_m:,.0f} m, {saved_share:.1%} less than the mission "
-    "by cells ({cost_by_cells:,.1f})",
 }
 
 
@@ -54,8 +50,7 @@ class MissionCheck(Result):
         far to go to the right, or to the left where it is negative), NaN where none is known. A limit, for which none
         is looked for, is placed where the fix is first and last lost, or at the densest kilometre.
       not_judged: sentences.
-      figures: lengths, metres without a fix, people, clearances by cells as in the report of a route, cost and
-        exposure; ``cost_note`` says what is missing.
+      figures: lengths, metres without a fix, people, and clearances by cells, as in the report of a route.
       outlines: ``"exact outlines"``, or ``"by cells"``, with the reason.
       limits: the constraints, as `Constraints.to_dict` has them.
       flight: the mission over the maps.
@@ -115,8 +110,6 @@ class MissionCheck(Result):
         by_time = self.figures.get("no_fix_by_time_m", {})
         lost = [f"{lost_m:,.0f} m at {time_said(time)}" for time, lost_m in by_time.items()]
         texts = {**self.figures, "no_fix_by_time_m": ", ".join(lost)}
-        for name in {"cost_by_layer", "exposure_by_layer"} & texts.keys():
-            texts[name] = ", ".join(f"{layer} {cost:,.1f}" for layer, cost in texts[name].items())
         for name in {"fix_unknown_m", "people_unknown_m"} & texts.keys():
             unknown_m = round(texts[name])
             texts[name] = f"; not known on {unknown_m:,} m" if unknown_m else ""
@@ -128,13 +121,12 @@ class MissionCheck(Result):
 
     @property
     def facts(self) -> dict[str, str]:
-        """The state, the mission, how buildings were looked at, the figures, and a note on the cost (may be empty)."""
+        """The state, the mission, how buildings were looked at, and the figures."""
         return {
             "state": self.sentence,
             "mission": self.flight.mission.name,
             "buildings": self.outlines,
             **self.numbers,
-            "note": self.figures.get("cost_note", ""),
         }
 
     @property
@@ -142,7 +134,7 @@ class MissionCheck(Result):
         """The check for a terminal: the state, findings, what was not judged or was guessed, and figures."""
         facts = self.facts
         state = facts.pop("state")
-        figures = [f"{name}: {fact}" for name, fact in facts.items() if fact]
+        figures = [f"{name}: {fact}" for name, fact in facts.items()]
         parts = {
             "finding": self.sentences,
             "not judged": self.not_judged,

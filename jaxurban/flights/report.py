@@ -64,7 +64,6 @@ def check_report(result: MissionCheck) -> ResultReport:
             "findings": Markdown("\n".join(findings) or "None."),
             "not_judged": bullets(result.not_judged) or "All of it was judged.",
             "numbers": bullets(f"{name}: {fact}" for name, fact in result.numbers.items()),
-            "note": result.figures.get("cost_note", ""),
             "returns": bullets(result.return_lines) or "No item, or no home, to return from.",
             "limits": describe_constraints(result.limits) or "none",
             "guesses": names_of(result.maps.guesses) or "nothing",

@@ -727,27 +727,6 @@ def test_a_limit_on_people_is_shown_where_the_densest_kilometre_begins(open_scen
     assert "above all from" in result.sentences[0]
 
 
-def test_a_straight_mission_saves_nothing_as_both_are_costed_from_cell_to_cell(open_scene):
-    ends = [open_scene.place(*xy_m, 390.0) for xy_m in ((21.0, 33.0), (577.0, 288.0))]
-    weights = ju.Weights(gps=0, lidar=0, population=0, risk=0)
-    result = checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF, weights=weights)
-    figures = result.figures
-    length_m = np.linalg.norm(open_scene.xy_m(ends[0]) - open_scene.xy_m(ends[1]))
-    assert figures["cost"] * 10 == pytest.approx(length_m, rel=1e-3)
-    assert figures["saved_cost"] == pytest.approx(0, abs=1e-9)
-    by_cells = figures["cost_by_cells"]
-    assert figures["cost"] < by_cells < figures["cost"] * 1.1
-    assert (
-        f"0.0% less than the mission by cells ({by_cells:,.1f})" in result.facts["cheapest route"]
-    )
-    along = [
-        open_scene.place(*xy_m, 390.0) for xy_m in ((25.0, 15.0), (555.0, 15.0), (555.0, 585.0))
-    ]
-    dearer = checked(open_scene, mission_of(*along, home=along[0]), time=OFF, weights=weights)
-    assert dearer.figures["saved_cost"] > 1
-    assert "cost_note" not in dearer.figures
-
-
 def test_without_the_city_cells_are_looked_at_and_the_result_says_so(open_scene):
     ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
     result = ju.check(open_scene.maps, mission_of(*ends, home=ends[0]))
@@ -783,7 +762,6 @@ def test_a_planned_mission_is_clean_without_guesses(town, tmp_path):
     path.save(tmp_path / "x.plan")
     result = ju.check(town, tmp_path / "x.plan", sources=city)
     assert result.state == "clean", result
-    assert result.figures["saved_cost"] == pytest.approx(0.0, abs=1e-6)
     assert json.loads(json.dumps(result.to_dict()))["state"] == "clean"
     origin = np.full(len(city.buildings), HeightOrigin.DEFAULT, np.uint8)
     buildings = replace(city.buildings, origin=origin, limit_m=None)
@@ -831,7 +809,7 @@ def test_a_path_is_judged_as_its_file_is_but_for_climb_and_landing(town, tmp_pat
     assert of_path.limits == of_file.limits == path.settings["limits"]
     assert kinds_of(of_path) == kinds_of(of_file) == []
     assert [*of_path.figures] == [*of_file.figures]
-    for name in ("length_m", "no_fix_m", "people_overflown", "cost"):
+    for name in ("length_m", "no_fix_m", "people_overflown"):
         assert of_path.figures[name] == pytest.approx(of_file.figures[name], abs=0.01, rel=5e-3)
     assert of_path.figures["length_m"] == pytest.approx(path.length_m, abs=0.5)
     assert [sentence[:32] for sentence in of_path.not_judged] == [
