@@ -474,7 +474,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "report": Case(lambda: ju.explain(on.path(), on.maps()), {"suffix": ".geojson"}),
         "end": "return",
         "fence_roofs_m": 60.0,
-        "from_roof": Case(True, refused="not over a roof of known height"),
     },
     "Planning": {
         "preset": "paper",
@@ -932,9 +931,6 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--profile": Case("profile.txt", refused="profile.txt"),
             "--when": Case("", ("-o", "{out}.csv")),
             "--on-ground": "",
-            "--mission from_roof": Case(
-                "true", ("-o", "{out}.plan"), refused="not over a roof of known height"
-            ),
             "-o": Case("path.txt", refused="path.txt"),
             "--simplify": "30",
             "--mission end": Case("return", ("-o", "{out}.plan")),

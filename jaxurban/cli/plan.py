@@ -104,12 +104,10 @@ class MissionFile(TypedDict):
       end: how the mission ends: land (the default), return or none.
       fence_roofs_m: exclusion fences around the roofs within so many metres of the route that reach its height less the
         vertical clearance.
-      from_roof: true: it takes off from the roof at the start, and its altitudes count from there.
     """
 
     end: MissionEnd
     fence_roofs_m: float
-    from_roof: bool
 
 
 def exposure_of(
@@ -347,7 +345,7 @@ def _on_ground(outputs: RouteFiles, search: Settings) -> "OnGround":
     on_ground = search["on_ground"]
     if on_ground is None:
         on_ground = search["snap"] is not False and MISSION in outputs.suffixes
-    return "goal" if on_ground and outputs.mission.get("from_roof") else on_ground
+    return on_ground
 
 
 def _log_closed(costs: "CostMap") -> None:

@@ -82,7 +82,7 @@ def check(
         or ``"ellipsoid"``.
       home: longitude and latitude of home, for a file that has none.
       home_above_ground_m: how high home lies above the ground, for a flight that starts from a roof: heights above home
-        count from there. Left out, home is on the ground, or where a ``.plan`` of ours says.
+        count from there. Left out, home is on the ground.
       return_altitude_m: height above home at which the vehicle returns, for a file that has none.
       geoid_m: height of the geoid above the ellipsoid, for heights above the ellipsoid.
       no_fly: files of no-fly zones, which add to the zones of ``constraints``.

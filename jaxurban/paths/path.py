@@ -122,7 +122,6 @@ class PlannedPath(FactsRepr):
         report: RouteReport | None = None,
         end: MissionEnd | None = None,
         fence_roofs_m: float | None = None,
-        from_roof: bool = False,
     ) -> FilePath:
         """Write the path in the format that a file's suffix names, and return the (first) file.
 
@@ -133,7 +132,6 @@ class PlannedPath(FactsRepr):
           end: how a mission in a ``.plan`` ends: ``"land"``, ``"return"`` or ``"none"`` (see `write_path`).
           fence_roofs_m: a distance in metres, for a ``.plan``: the roofs within it of the route that reach the route's
             height less the vertical clearance become exclusion polygons (see `roof_fences`). None makes none.
-          from_roof: the mission in a ``.plan`` takes off from the roof at the start: its altitudes count from there.
 
         Returns:
           The first file as a `pathlib.Path`.
@@ -155,7 +153,7 @@ class PlannedPath(FactsRepr):
             raise InputError(f"there is no path to save: {self.status.sentence}")
         files = [FilePath(path) for path in (file, *more)]
         write = resolve_name("jaxurban.flights.export.write:write_files")
-        write(self, files, report, end=end, fence_roofs_m=fence_roofs_m, from_roof=from_roof)
+        write(self, files, report, end=end, fence_roofs_m=fence_roofs_m)
         return files[0]
 
     def plot(self) -> "Figure":

@@ -43,14 +43,13 @@ def flown_m(maps, file) -> np.ndarray:
     """Return ``[N, 3]`` x, y and height above level ground every 20 cm along a mission, by its file alone."""
     plan = json.loads(file.read_text())
     lat, lon, _ = plan["mission"]["plannedHomePosition"]
-    home_m = plan["settings"].get("home_above_ground_m", 0.0)
-    places = [(lon, lat, home_m)]
+    places = [(lon, lat, 0.0)]
     for item in plan["mission"]["items"]:
         if item["command"] in (TAKEOFF, WAYPOINT, LAND):
             lat, lon, height_m = item["params"][4:]
             if item["command"] == LAND:
                 places.append((lon, lat, places[-1][2]))
-            places.append((lon, lat, height_m + home_m))
+            places.append((lon, lat, height_m))
     lons, lats, z_m = np.array(places).T
     corners_m = np.column_stack([*maps.grid.xy_of_lonlat(lons, lats), z_m])
     parts = []
@@ -147,42 +146,39 @@ def test_snapping_to_the_ground_takes_the_nearest_cell_that_is_free_below(town):
     assert (many.xy_m == path.xy_m).all()
 
 
-def test_a_flight_from_a_roof_has_its_heights_from_there(town, city, tmp_path):
+def test_a_flight_from_a_roof_has_its_heights_from_there(town, city, tmp_path, monkeypatch):
+    # A mission of another tool, whose home is on the roof.
     on = ju.cost_map(town, ALTITUDE_M)
     roof, goal = np.argwhere(is_roof(town))[7], np.argwhere(on.free_space.to_ground(0))[-10]
     path, file = on.plan(**ends_at(town, roof, goal)), tmp_path / "x.plan"
-    path.save(file, from_roof=True)
+    with monkeypatch.context() as patched:
+        patched.setattr("jaxurban.flights.export.qgc_plan.check_own", lambda *_: "")
+        path.save(file)
     roof_m = float(town.m("roof")[tuple(roof)])
-    items = json.loads(file.read_text())["mission"]["items"]
-    assert items[0]["params"][6] == pytest.approx(ALTITUDE_M - roof_m, abs=0.02)
-    assert items[-1]["params"][6] == pytest.approx(-roof_m, abs=0.02)
-    result = ju.check(town, file, sources=city)
+    plan = json.loads(file.read_text())
+    for item in plan["mission"]["items"]:
+        item["params"][6] -= roof_m
+        item["Altitude"] -= roof_m
+    file.write_text(json.dumps(plan))
+    result = ju.check(town, file, sources=city, home_above_ground_m=roof_m)
     assert result.state == "clean", result
     assert result.flight.steps.z_m[0, 0] == pytest.approx(roof_m)
 
     # It is judged as it stands: from the ground it would start in the house, and fly lower.
-    for wrong_m in (0.0, roof_m - 1.0):
+    for wrong_m in (None, 0.0, roof_m - 1.0):
         wrong = ju.check(town, file, sources=city, home_above_ground_m=wrong_m)
         assert "building" in set(wrong.findings["kind"]), wrong
     for wrong_m in (roof_m + 0.1, roof_m + 1.0, roof_m + 30.0):  # judged higher than it is flown
         wrong = ju.check(town, file, sources=city, home_above_ground_m=wrong_m)
         assert any("the flight may be lower than judged" in text for text in wrong.not_judged)
         assert wrong.state != "clean"
-    plan = json.loads(file.read_text())
     lon, lat = map(float, town.grid.lonlat_of_cell(*goal))
     plan["mission"]["plannedHomePosition"][:2] = lat, lon
     (tmp_path / "moved.plan").write_text(json.dumps(plan))
-    assert ju.check(town, tmp_path / "moved.plan", sources=city).state != "clean"
+    moved = ju.check(town, tmp_path / "moved.plan", sources=city, home_above_ground_m=roof_m)
+    assert moved.state != "clean"
     with pytest.raises(ju.InputError, match="the mission has none"):
         ju.check(town, path, sources=city, home_above_ground_m=3.0)
-
-    # Only from a roof, and only in a mission.
-    for ends, name, words in (
-        ((goal, roof), "y.plan", "not over a roof of known height"),
-        ((roof, goal), "y.kml", "only a .plan"),
-    ):
-        with pytest.raises(ju.InputError, match=words):
-            on.plan(**ends_at(town, *ends)).save(tmp_path / name, from_roof=True)
 
 
 def test_a_mission_says_how_it_was_checked(town, tmp_path):
@@ -232,9 +228,6 @@ def test_the_command_moves_ends_to_the_ground_and_keeps_other_files(folder, tmp_
     assert code == 0
     assert 0 < facts["snap_distance_m"]["start"] <= 50
     assert is_checked() in (0, 6)
-    code, facts = ended("--mission", "from_roof=true")
-    assert (code, facts["snap_distance_m"]["start"] < 0.01) == (0, True)
-    assert is_checked() in (0, 6)
 
 
 def test_the_remedy_of_a_refused_mission_works_and_is_of_the_end_at_fault(town, city, tmp_path):
@@ -242,18 +235,14 @@ def test_the_remedy_of_a_refused_mission_works_and_is_of_the_end_at_fault(town, 
     roofs, file = np.argwhere(is_roof(town)), tmp_path / "x.plan"
     ends = ends_at(town, roofs[7], roofs[-7])
     file.write_text("older")
-    with pytest.raises(
-        ju.InputError, match=r"take off is.*from_roof.*the older x\.plan stays as it is"
-    ):
+    with pytest.raises(ju.InputError, match=r"take off is.*the older x\.plan stays as it is"):
         on.plan(**ends).save(file)
     assert file.read_text() == "older"
-    with pytest.raises(ju.InputError, match="nearest place to land is") as refusal:
-        on.plan(**ends).save(file, from_roof=True)
-    assert "from_roof" not in str(refusal.value)
+    of_goal = ends_at(town, np.argwhere(on.free_space.to_ground(0))[-10], roofs[-7])
+    with pytest.raises(ju.InputError, match="nearest place to land is"):
+        on.plan(**of_goal).save(file)
     path = on.plan(**ends, snap=True, on_ground="goal")
     assert path.snap_distance_m[0] == pytest.approx(0.0)
-    path.save(file, from_roof=True)
-    assert ju.check(town, file, sources=city).findings.empty
     with pytest.raises(ju.InputError, match="on_ground"):
         on.plan(**ends, on_ground="start")
 

@@ -226,7 +226,7 @@ def test_a_distance_that_cannot_be_is_refused(near_m, maps):
 
 def test_fences_are_of_missions_and_of_paths_with_maps_alone(maps, tmp_path):
     path = made_path(maps.grid, np.array(maps.grid.bounds_m).reshape(2, 2), Z_M, maps=maps)
-    with pytest.raises(ju.InputError, match="leave end, fence_roofs_m and from_roof out"):
+    with pytest.raises(ju.InputError, match="leave end and fence_roofs_m out"):
         path.save(tmp_path / "a.kml", fence_roofs_m=5.0)
     with pytest.raises(ju.InputError, match="needs the maps of the path"):
         made_path(maps.grid, path.xy_m).save(tmp_path / "a.plan", fence_roofs_m=5.0)

@@ -23,9 +23,6 @@ NO_MAPS = "It was not checked, as the path has no maps."
 UNSURE = "may meet what is of unknown height as it takes off or lands"
 ANOTHER_PLAN = "plan it again with greater clearances, or save it as .kml, .gpx or .geojson"
 MOVE = "let it be moved there by --snap without --ends-in-air (snap=True, on_ground=True)"
-FROM_ROOF = (
-    ", or pass from_roof=True (--mission from_roof=true) if the flight starts from that roof"
-)
 
 
 def check_own(route: PlannedPath, data: bytes) -> str:
@@ -113,5 +110,5 @@ def _remedy(route: PlannedPath, maps: MetricMaps, finding: pd.Series) -> str:
     lon, lat = grid.lonlat_of_cell(*cells[nearest])
     return (
         f"the nearest place to {act} is {lon:.6f},{lat:.6f}, {away_m[nearest]:.0f} m from the {name}: "
-        f"name it, or {MOVE}{FROM_ROOF * is_start}"
+        f"name it, or {MOVE}"
     )

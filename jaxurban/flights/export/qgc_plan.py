@@ -27,7 +27,6 @@ from jaxurban.flights.export.fences import exclusions
 from jaxurban.flights.export.own_check import check_own
 from jaxurban.flights.export.roof_fences import RoofFences
 from jaxurban.flights.missions.flight import LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
-from jaxurban.flights.missions.items import HOME_HEIGHT
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import RouteReport
@@ -45,7 +44,6 @@ END_NOTES: dict[MissionEnd, str] = {
     "not checked for obstacles.",
     "none": "It ends at the last waypoint, without a landing.",
 }
-FROM_ROOF = "It starts from the roof of {:.1f} m at the start, which is home: altitudes count from that roof."
 
 
 def height_note(route: PlannedPath) -> str:
@@ -67,13 +65,11 @@ def mission_note(
     route: PlannedPath,
     end: MissionEnd = "land",
     roofs: RoofFences | None = None,
-    from_roof: bool = False,
 ) -> str:
     """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
     roof_note = "" if roofs is None else roofs.note
     _, zone_note = exclusions(route)
-    home_note = FROM_ROOF.format(roof_at_start_m(route)) if from_roof else ""
-    notes = height_note(route), home_note, END_NOTES[end], zone_note, roof_note
+    notes = height_note(route), END_NOTES[end], zone_note, roof_note
     return " ".join(filter(None, notes))
 
 
@@ -82,7 +78,6 @@ def to_qgc_plan(
     report: RouteReport | None,
     end: MissionEnd = "land",
     roofs: RoofFences | None = None,
-    from_roof: bool = False,
 ) -> bytes:
     """Return a path as a mission of QGroundControl, JSON in UTF-8, if its own check finds nothing (`check_own`).
 
@@ -91,10 +86,9 @@ def to_qgc_plan(
       report: of the path, whose speed the mission takes; without one, the speed of the path's vehicle, if it has any.
       end: how the mission ends, one of `ENDS`.
       roofs: further exclusion polygons of the geofence, and a sentence on them.
-      from_roof: it takes off from the roof at the start, from which its altitudes count.
 
     Raises:
-      InputError: several paths, a start that is not over a roof of known height, or findings of the check.
+      InputError: several paths, or findings of the check.
     """
     if len(routes) > 1:
         raise InputError(
@@ -104,13 +98,9 @@ def to_qgc_plan(
 
     # What the file says: the facts of the path, its waypoints, the height of home and the rings to keep out of.
     facts = facts_of(route, report)
-    roof_m = 0.0
-    if from_roof:
-        roof_m = roof_at_start_m(route)
-        facts["settings"][HOME_HEIGHT] = roof_m
     speed_m_s = facts.get("speed_m_s")
     along = waypoints(route)
-    home_m = 0.0 if along.ground_m is None else float(upward(along.ground_m[0] + roof_m))
+    home_m = 0.0 if along.ground_m is None else float(upward(along.ground_m[0]))
     rings, _ = exclusions(route)
     if roofs is not None:
         rings = rings + roofs.rings
@@ -119,7 +109,7 @@ def to_qgc_plan(
         "version": 1,
         "groundStation": "QGroundControl",
         # No key of the format: readers leave it alone.
-        "note": description_of(facts, mission_note(route, end, roofs, from_roof)),
+        "note": description_of(facts, mission_note(route, end, roofs)),
         "settings": facts["settings"],  # nor is this: what the path was planned under
         "mission": {
             "version": 2,
@@ -129,7 +119,7 @@ def to_qgc_plan(
             "cruiseSpeed": speed_m_s or 15,  # m/s; else QGroundControl's defaults
             "hoverSpeed": speed_m_s or 5,
             "plannedHomePosition": [*along.lonlat[0, ::-1].tolist(), home_m],
-            "items": _items(along, speed_m_s, end, roof_m),
+            "items": _items(along, speed_m_s, end),
         },
         "geoFence": {
             "version": 2,
@@ -150,36 +140,16 @@ def _encoded(plan: dict[str, Any]) -> bytes:
     return (json.dumps(plan, indent=2, allow_nan=False) + "\n").encode()
 
 
-def roof_at_start_m(route: PlannedPath) -> float:
-    """Return the height of the roof at the start of a path.
-
-    Raises:
-      InputError: the path has no maps, or its start is not over a roof of known height.
-    """
-    maps = route.maps
-    if maps is not None:
-        cell = maps.grid.cell_of_xy(*route.xy_m[0])
-        roof_m = float(maps.m("roof")[cell])
-        if roof_m > 0 and not ("roof_guessed" in maps.ds and maps.m("roof_guessed")[cell]):
-            return roof_m
-    raise InputError(
-        "the start is not over a roof of known height: leave from_roof (--mission) out, or start elsewhere"
-    )
-
-
-def _items(
-    along: Waypoints, speed_m_s: float | None, end: str, roof_m: float
-) -> list[dict[str, Any]]:
+def _items(along: Waypoints, speed_m_s: float | None, end: str) -> list[dict[str, Any]]:
     """Return the items of a mission: take-off, the speed if it is given, waypoints, the end.
 
     Args:
       along: the waypoints; the mission takes off at the first.
       speed_m_s: over the ground; None leaves it to the autopilot.
       end: one of `ENDS`; ``"none"`` adds no item.
-      roof_m: height of home above the ground.
     """
     lonlats = along.lonlat.tolist()
-    heights_m = upward(along.above_home_m - roof_m).tolist()
+    heights_m = upward(along.above_home_m).tolist()
     items = [_place(TAKEOFF, lonlats[0], heights_m[0])]
     if speed_m_s is not None:
         params = [GROUND_SPEED, speed_m_s, THROTTLE_AS_IT_IS, 0, 0, 0, 0]
@@ -188,8 +158,7 @@ def _items(
         items.append(_place(WAYPOINT, lonlat, height_m))
     if end == "land":
         ground_m = 0.0 if along.ground_m is None else float(along.ground_m[-1] - along.ground_m[0])
-        ground_m = round(ground_m - roof_m, Z_DECIMALS)
-        items.append(_place(LAND, lonlats[-1], ground_m))
+        items.append(_place(LAND, lonlats[-1], round(ground_m, Z_DECIMALS)))
     elif end == "return":
         items.append(_command(RETURN, [0] * 7))
     return [item | {"doJumpId": number} for number, item in enumerate(items, start=1)]

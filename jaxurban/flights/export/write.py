@@ -177,11 +177,10 @@ def write_files(
     *,
     end: MissionEnd | None,
     fence_roofs_m: float | None,
-    from_roof: bool,
 ) -> None:
     """Write a path to files of any formats (`PlannedPath.save`, which says what is taken and refused)."""
     missions = [file for file in files if file.suffix.lower() == MISSION]
-    if not missions and (end is not None or fence_roofs_m is not None or from_roof):
+    if not missions and (end is not None or fence_roofs_m is not None):
         check_is_mission(files[0])  # raises InputError, as no file is a mission
     for file in files:
         encoder_of(file)  # raises InputError, before any is written
@@ -194,7 +193,7 @@ def write_files(
     # Missions come last, since they may be refused.
     roofs = None if fence_roofs_m is None else roof_fences(route, fence_roofs_m)
     for file in missions:
-        write_path(route, file, report, end=end, roofs=roofs, from_roof=from_roof)
+        write_path(route, file, report, end=end, roofs=roofs)
 
 
 def write_path(
@@ -205,7 +204,6 @@ def write_path(
     names: Sequence[str] = ("",),
     end: MissionEnd | None = None,
     roofs: RoofFences | None = None,
-    from_roof: bool = False,
 ) -> bool:
     """Write paths in the format that the file's suffix names; return False, writing nothing, if there is no path.
 
@@ -220,7 +218,6 @@ def write_path(
       end: how the mission in a ``.plan`` ends: ``"land"`` at the goal (so also if it is left out), ``"return"`` to
         launch as the autopilot does it, or ``"none"``.
       roofs: more exclusion polygons for the geofence of a ``.plan``, from `roof_fences`.
-      from_roof: the flight of a ``.plan`` takes off from the roof at the start.
 
     Raises:
       InputError: another suffix, an end or fences of a format without, several paths in a format of one, a ``.plan``
@@ -229,10 +226,10 @@ def write_path(
     # The format.
     file = Path(file)
     encode = encoder_of(file)
-    if end is not None or roofs is not None or from_roof:
+    if end is not None or roofs is not None:
         check_is_mission(file)
         chosen = one_of("end", end or "land", END_NOTES)
-        encode = partial(to_qgc_plan, end=chosen, roofs=roofs, from_roof=from_roof)
+        encode = partial(to_qgc_plan, end=chosen, roofs=roofs)
 
     # The paths and their names.
     routes = route if isinstance(route, Sequence) else [route]
@@ -252,8 +249,8 @@ def check_is_mission(file: Path) -> None:
     """Raise InputError unless a file's format says how the flight ends and has fences."""
     if file.suffix.lower() != MISSION:
         raise InputError(
-            f"only a {MISSION} says how the flight ends, has fences and starts from a roof, and {str(file)!r} is none: "
-            "leave end, fence_roofs_m and from_roof out"
+            f"only a {MISSION} says how the flight ends and has fences, and {str(file)!r} is none: leave end and "
+            "fence_roofs_m out"
         )
 
 

@@ -50,7 +50,6 @@ ALTITUDE_MODES: dict[Any, Datum | None] = {
     4: "ground",
     5: None,
 }
-HOME_HEIGHT = "home_above_ground_m"  # among the settings of jaxurban's own plans
 SAME_M = 0.1
 LOWEST_M, HIGHEST_M = -500.0, 9000.0  # that ground lies at, above the geoid
 NANS = ("nan", "-nan", "NaN")  # as C and .NET write a value that is left open
@@ -119,11 +118,7 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
     speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
     flown = FlownItems(items, start[0], return_altitude_m, autopilot)
-    settings = _object(plan.get("settings") or {}, "settings")
-    above_m = number_of(HOME_HEIGHT, settings.get(HOME_HEIGHT))
-    is_on_roof = above_m > 0 and home is None  # another home than the file's is on the ground
-    read = mission_of(name, flown, len(rows), start, notes, speed_m_s)
-    return replace(read, zones=zones, home_above_ground_m=above_m if is_on_roof else 0.0)
+    return replace(mission_of(name, flown, len(rows), start, notes, speed_m_s), zones=zones)
 
 
 def read_waypoints(
