@@ -473,7 +473,6 @@ TABLE: dict[str, dict[str, Any]] = {
     "PlannedPath.save": {
         "report": Case(lambda: ju.explain(on.path(), on.maps()), {"suffix": ".geojson"}),
         "end": "return",
-        "fence_roofs_m": 60.0,
     },
     "Planning": {
         "preset": "paper",
@@ -934,7 +933,6 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "-o": Case("path.txt", refused="path.txt"),
             "--simplify": "30",
             "--mission end": Case("return", ("-o", "{out}.plan")),
-            "--mission fence_roofs_m": Case("60", ("-o", "{out}.plan")),
             "--device": DEVICE,
             "--json": JSON,
         },

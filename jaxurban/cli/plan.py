@@ -102,12 +102,9 @@ class MissionFile(TypedDict):
 
     Attributes:
       end: how the mission ends: land (the default), return or none.
-      fence_roofs_m: exclusion fences around the roofs within so many metres of the route that reach its height less the
-        vertical clearance.
     """
 
     end: MissionEnd
-    fence_roofs_m: float
 
 
 def exposure_of(
@@ -479,7 +476,6 @@ def _write(
       outputs: how it is written.
     """
     from jaxurban.flights.export.qgc_plan import mission_note
-    from jaxurban.flights.export.roof_fences import roof_fences
     from jaxurban.flights.export.write import WAYPOINTS, elevation_note, write_path
     from jaxurban.paths.finish import simplify
 
@@ -502,13 +498,9 @@ def _write(
             if sentence not in former.cautions:
                 LOG.info(f"{file}: {sentence}")
 
-    # A mission has an end and maybe fences.
     mission: Settings = {}
     if suffix == MISSION:
-        mission = outputs.mission.copy()
-        fences_m = mission.pop("fence_roofs_m", None)
-        if fences_m is not None:
-            mission["roofs"] = roof_fences(planned, fences_m)
+        mission = outputs.mission
         notes.append(mission_note(planned, **mission))
     elif suffix in WAYPOINTS:
         notes.append(elevation_note(planned))

@@ -121,7 +121,6 @@ class PlannedPath(FactsRepr):
         *more: str | FilePath,
         report: RouteReport | None = None,
         end: MissionEnd | None = None,
-        fence_roofs_m: float | None = None,
     ) -> FilePath:
         """Write the path in the format that a file's suffix names, and return the (first) file.
 
@@ -130,17 +129,14 @@ class PlannedPath(FactsRepr):
           more: further files, for further formats.
           report: from `jaxurban.explain`, to be written too.
           end: how a mission in a ``.plan`` ends: ``"land"``, ``"return"`` or ``"none"`` (see `write_path`).
-          fence_roofs_m: a distance in metres, for a ``.plan``: the roofs within it of the route that reach the route's
-            height less the vertical clearance become exclusion polygons (see `roof_fences`). None makes none.
 
         Returns:
           The first file as a `pathlib.Path`.
 
         Raises:
-          InputError: there is no path, another suffix, an unknown end, a distance of roofs that is not positive, any
-            of these without a ``.plan``, a ``.plan`` that takes off or lands through a roof or meets anything else (the
-            other files are written), a folder that does not exist or cannot be written to, or more vertices of fences
-            than autopilots hold.
+          InputError: there is no path, another suffix, an unknown end, one without a ``.plan``, a ``.plan`` that takes
+            off or lands through a roof or meets anything else (the other files are written), or a folder that does not
+            exist or cannot be written to.
 
         Examples:
           >>> path.save("route.geojson", "route.kml").name
@@ -153,7 +149,7 @@ class PlannedPath(FactsRepr):
             raise InputError(f"there is no path to save: {self.status.sentence}")
         files = [FilePath(path) for path in (file, *more)]
         write = resolve_name("jaxurban.flights.export.write:write_files")
-        write(self, files, report, end=end, fence_roofs_m=fence_roofs_m)
+        write(self, files, report, end=end)
         return files[0]
 
     def plot(self) -> "Figure":

@@ -4,9 +4,8 @@ Waypoints are those of `waypoints`: simplify the path first (`jaxurban.simplify`
 relative to the home position, the first point. Over maps with terrain they follow the ground, and home has the terrain
 file's elevation. Without terrain level ground is assumed, and home is at 0 m; `height_note` says which. The mission
 ends with a landing at the last point, or with the autopilot's return, or hovers there (`ENDS`). A report's speed is
-set after take-off. The no-fly zones near the path that it was planned around are exclusion polygons of the geofence,
-and so are roofs beside it where they are asked for (`roof_fences`). The file holds what to know of all that as
-``note`` beside the path's ``settings``.
+set after take-off. The no-fly zones near the path that it was planned around are exclusion polygons of the geofence.
+The file holds what to know of all that as ``note`` beside the path's ``settings``.
 """
 
 import json
@@ -25,7 +24,6 @@ from jaxurban.flights.export.base import (
 )
 from jaxurban.flights.export.fences import exclusions
 from jaxurban.flights.export.own_check import check_own
-from jaxurban.flights.export.roof_fences import RoofFences
 from jaxurban.flights.missions.flight import LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.path import PlannedPath
@@ -61,31 +59,19 @@ def height_note(route: PlannedPath) -> str:
     )
 
 
-def mission_note(
-    route: PlannedPath,
-    end: MissionEnd = "land",
-    roofs: RoofFences | None = None,
-) -> str:
+def mission_note(route: PlannedPath, end: MissionEnd = "land") -> str:
     """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
-    roof_note = "" if roofs is None else roofs.note
     _, zone_note = exclusions(route)
-    notes = height_note(route), END_NOTES[end], zone_note, roof_note
-    return " ".join(filter(None, notes))
+    return f"{height_note(route)} {END_NOTES[end]} {zone_note}".rstrip()
 
 
-def to_qgc_plan(
-    routes: Named,
-    report: RouteReport | None,
-    end: MissionEnd = "land",
-    roofs: RoofFences | None = None,
-) -> bytes:
+def to_qgc_plan(routes: Named, report: RouteReport | None, end: MissionEnd = "land") -> bytes:
     """Return a path as a mission of QGroundControl, JSON in UTF-8, if its own check finds nothing (`check_own`).
 
     Args:
       routes: one path with its name, which the format has no place for.
       report: of the path, whose speed the mission takes; without one, the speed of the path's vehicle, if it has any.
       end: how the mission ends, one of `ENDS`.
-      roofs: further exclusion polygons of the geofence, and a sentence on them.
 
     Raises:
       InputError: several paths, or findings of the check.
@@ -102,14 +88,12 @@ def to_qgc_plan(
     along = waypoints(route)
     home_m = 0.0 if along.ground_m is None else float(upward(along.ground_m[0]))
     rings, _ = exclusions(route)
-    if roofs is not None:
-        rings = rings + roofs.rings
     plan: dict[str, Any] = {
         "fileType": "Plan",
         "version": 1,
         "groundStation": "QGroundControl",
         # No key of the format: readers leave it alone.
-        "note": description_of(facts, mission_note(route, end, roofs)),
+        "note": description_of(facts, mission_note(route, end)),
         "settings": facts["settings"],  # nor is this: what the path was planned under
         "mission": {
             "version": 2,

@@ -44,7 +44,6 @@ from jaxurban.flights.export.base import (
     waypoints,
 )
 from jaxurban.flights.export.qgc_plan import END_NOTES, to_qgc_plan
-from jaxurban.flights.export.roof_fences import RoofFences, roof_fences
 from jaxurban.io.files import write_whole
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import RouteReport
@@ -176,11 +175,10 @@ def write_files(
     report: RouteReport | None,
     *,
     end: MissionEnd | None,
-    fence_roofs_m: float | None,
 ) -> None:
     """Write a path to files of any formats (`PlannedPath.save`, which says what is taken and refused)."""
     missions = [file for file in files if file.suffix.lower() == MISSION]
-    if not missions and (end is not None or fence_roofs_m is not None):
+    if not missions and end is not None:
         check_is_mission(files[0])  # raises InputError, as no file is a mission
     for file in files:
         encoder_of(file)  # raises InputError, before any is written
@@ -191,9 +189,8 @@ def write_files(
         if file not in missions:
             write_path(route, file, report)
     # Missions come last, since they may be refused.
-    roofs = None if fence_roofs_m is None else roof_fences(route, fence_roofs_m)
     for file in missions:
-        write_path(route, file, report, end=end, roofs=roofs)
+        write_path(route, file, report, end=end)
 
 
 def write_path(
@@ -203,7 +200,6 @@ def write_path(
     *,
     names: Sequence[str] = ("",),
     end: MissionEnd | None = None,
-    roofs: RoofFences | None = None,
 ) -> bool:
     """Write paths in the format that the file's suffix names; return False, writing nothing, if there is no path.
 
@@ -217,19 +213,17 @@ def write_path(
       names: of several paths, one for each.
       end: how the mission in a ``.plan`` ends: ``"land"`` at the goal (so also if it is left out), ``"return"`` to
         launch as the autopilot does it, or ``"none"``.
-      roofs: more exclusion polygons for the geofence of a ``.plan``, from `roof_fences`.
 
     Raises:
-      InputError: another suffix, an end or fences of a format without, several paths in a format of one, a ``.plan``
+      InputError: another suffix, an end of a format without, several paths in a format of one, a ``.plan``
         that its own check finds fault with, or a folder that does not exist or cannot be written to.
     """
     # The format.
     file = Path(file)
     encode = encoder_of(file)
-    if end is not None or roofs is not None:
+    if end is not None:
         check_is_mission(file)
-        chosen = one_of("end", end or "land", END_NOTES)
-        encode = partial(to_qgc_plan, end=chosen, roofs=roofs)
+        encode = partial(to_qgc_plan, end=one_of("end", end, END_NOTES))
 
     # The paths and their names.
     routes = route if isinstance(route, Sequence) else [route]
@@ -246,11 +240,10 @@ def write_path(
 
 
 def check_is_mission(file: Path) -> None:
-    """Raise InputError unless a file's format says how the flight ends and has fences."""
+    """Raise InputError unless a file's format says how the flight ends."""
     if file.suffix.lower() != MISSION:
         raise InputError(
-            f"only a {MISSION} says how the flight ends and has fences, and {str(file)!r} is none: leave end and "
-            "fence_roofs_m out"
+            f"only a {MISSION} says how the flight ends, and {str(file)!r} is none: leave end out"
         )
 
 
