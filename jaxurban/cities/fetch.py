@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
-import numpy as np
 import shapely
 import tomli_w
 
 from jaxurban.checks import one_of
 from jaxurban.cities.census import read_blocks, read_districts
 from jaxurban.cities.download import Source, cache_folder, download
-from jaxurban.cities.heights import is_given
 from jaxurban.cities.kinds import BY_VALUE, WATERS, Kind
-from jaxurban.cities.osm import MAYBE, header_box, read_osm
+from jaxurban.cities.osm import MAYBE, read_osm
 from jaxurban.errors import InputError, readable
 from jaxurban.io.broken import BROKEN
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
@@ -348,24 +346,9 @@ def _read_osm(job: FetchJob, path: Path, file: str) -> Settings:
       file: its name in the user's folder.
 
     Raises:
-      InputError: the server sent a part of the data only, an extract that does not cover the region, or no building.
+      InputError: the file cannot be read, or the server sent a part of the data only.
     """
-    # Whether an extract covers the region.
-    box = header_box(path)
-    if box is not None and not shapely.box(*box).contains(shapely.box(*job.bounds)):
-        shown = ", ".join(f"{value:.3f}" for value in box)
-        raise InputError(
-            f"{str(path)!r} covers {shown} (west, south, east, north), not all of the region: name another extract "
-            "with --source osm=URL"
-        )
-
-    # Whether it holds buildings.
-    outlines = read_osm(path)
-    is_building = np.logical_or(*(is_given(outlines.column(tag)) for tag in ("building", "part")))
-    if not shapely.get_num_coordinates(outlines.polygons[is_building]).any():
-        raise InputError(
-            f"{str(path)!r} has no building in the region: check --bounds, longitude first"
-        )
+    read_osm(path)
     return {"buildings": {"source": file}}
 
 

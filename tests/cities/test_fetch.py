@@ -299,7 +299,6 @@ def test_trees_wires_and_all_that_the_reader_knows_are_asked_for_and_stand(
 
 WEB_PAGE, NOISE = b"<!DOCTYPE html><html><body>Sorry</body></html>", b"\x00\x01\x02" * 99
 BARE = osm(*houses()[:2]).encode()  # without nodes
-ELSEWHERE = osm(*houses(), boxes=[(1, 1, 2, 2)]).encode()
 CUT_OFF = OSM.replace(b"</osm>", b"<remark> runtime error: Query timed out </remark>\n</osm>")
 NO_PEOPLE = blocks_geojson().replace(b"POP100", b"other")
 
@@ -315,9 +314,7 @@ NO_PEOPLE = blocks_geojson().replace(b"POP100", b"other")
         ("osm", OSM.replace(b'<way id="2"', b"<way & <<"), "damaged or cut short"),
         ("osm", OSM.replace(b'lat="40.710300000"', b'lat="abc"'), "damaged or cut short"),
         ("osm", OSM.replace(b'lat="40.710300000"', b'lat="NaN"'), "damaged or cut short"),
-        ("osm", OSM.replace(b'k="building"', b'k="highway"'), "has no building in the region"),
         ("osm", BARE, "not one node"),
-        ("osm", ELSEWHERE, "not all of the region"),
         ("osm", CUT_OFF, "says 'runtime error: Query timed out'"),
         (
             "census",
@@ -356,6 +353,13 @@ def test_what_does_not_serve_is_refused_by_its_address_and_not_kept(
     assert str(tmp_path) not in last
     assert tempfile.gettempdir() not in last
     assert cached(tmp_path) == []
+
+
+def test_maps_refuse_an_extract_without_a_building_in_the_region(server, tmp_path, capsys):
+    server.put("/osm", send(OSM.replace(b'k="building"', b'k="highway"')))
+    assert fetch(capsys, server, tmp_path / "a", "--what", "osm")[0] == 0
+    with pytest.raises(ju.InputError, match="no building"):
+        load_city(ju.Scenario.from_toml(tmp_path / "a/scenario.toml"))
 
 
 def test_every_block_of_an_extract_is_unpacked(server, tmp_path, capsys):
