@@ -43,20 +43,24 @@ LOITERS = {LOITER_UNLIM: 2, LOITER_TURNS: 2, 19: 2, LOITER_TO_ALT: 1}
 # Fences and rally points.
 BESIDE = dict.fromkeys(range(5000, 5100), "its geofence is not judged")
 BESIDE[5100] = "its rally points are not judged"
-# Commands that move nothing: regions of interest, delays and conditions, servos and relays, cameras and gimbals, ...
-STILL = frozenset(
-    [80, 93, 95, 112, 114, 115, 159, SPEED, 187, 188, 189, 600, 1000, 1001, 2010, 2600, 2800]
-).union(
-    [3000, 3001, 4501, 42600],
-    range(180, 185),
-    range(194, 199),
-    range(200, 208),
-    range(209, 213),
-    range(214, 218),
-    range(219, 224),
-    range(530, 535),
-    range(2000, 2006),
-    range(2500, 2512),
+# Commands that move nothing.
+STILL = frozenset([SPEED]).union(
+    [80, *range(194, 199)],  # regions of interest, and the direction of driving
+    [93, 95, 112, 114, 115, 159],  # delays and conditions, and the last of both
+    [*range(180, 185), 187],  # a parameter, relays, servos, actuators
+    [
+        188,
+        189,
+        600,
+    ],  # marks: where the way of a return, or a landing, begins, and where a jump may lead
+    range(200, 208),  # video, cameras, mounts; the geofence
+    range(209, 213),  # a test of motors, inverted flight, gripper, autotune
+    range(214, 218),  # intervals of the camera, sprayer, scripts
+    range(219, 224),  # mounts, limits of another controller, engine
+    [*range(530, 535), 1000, 1001],  # modes of the camera, gimbals
+    [*range(2000, 2006), 2010, 2800],  # pictures, tracking by the camera, panorama
+    [*range(2500, 2512), 2600],  # video, logging, telemetry
+    [3000, 3001, 4501, 42600],  # transition of VTOL, arming, a gate that is waited for, winch
 )
 FRAMES: dict[int, Datum] = {
     0: "geoid",
