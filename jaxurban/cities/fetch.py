@@ -156,10 +156,6 @@ class FetchJob:
         )
         return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
-    def box(self, margin_m: float) -> Bounds:
-        """Return west, south, east, north in degrees of the box around `box_m`."""
-        return transformer(self.crs, WGS84).transform_bounds(*self.box_m(margin_m), densify_pts=21)
-
     def requests(self) -> list[Source]:
         """Return the sources to ask, each with its URL for the region.
 
@@ -182,7 +178,9 @@ class FetchJob:
         margin_m = self.margin_m if name == "osm" else BLOCK_MARGIN_M
 
         # Fill in the template: the sides in degrees, and the query of the Overpass API.
-        sides = zip(("west", "south", "east", "north"), self.box(margin_m), strict=True)
+        x_min, y_min, x_max, y_max = box_m = self.box_m(margin_m)
+        box = transformer(self.crs, WGS84).transform_bounds(*box_m, densify_pts=21)
+        sides = zip(("west", "south", "east", "north"), box, strict=True)
         degrees = {side: f"{value:.6f}" for side, value in sides}
         try:
             url = template.format(**degrees, query=quote(OVERPASS.format(**degrees), safe=""))
@@ -196,7 +194,6 @@ class FetchJob:
             ) from error
 
         # A template without places is of a whole extract, which no server cuts out.
-        x_min, y_min, x_max, y_max = self.box_m(margin_m)
         area_km2 = (x_max - x_min) * (y_max - y_min) / 1e6
         if name == "osm" and "{" in template and area_km2 > MOST_OVERPASS_KM2:
             raise InputError(

@@ -148,7 +148,7 @@ class Segments(NamedTuple):
         """Return the segments of a mission, in the order of travel.
 
         Where a leg may be straight or follow the ground, it follows it, and is straight as a variant, unless the ground
-        is flat, where the two are the same.
+        is flat, where the two are the same. Ends on the ground at home are as high above it as home is, on a roof.
         """
         rows = []
         ends: list[Place] = []
@@ -163,21 +163,20 @@ class Segments(NamedTuple):
                     ends += pair
         table = pd.DataFrame(ends, columns=list(Place._fields))
         numbers, follow, beside = np.array(rows, int).reshape(-1, 3).T
+        lonlat = table[["lon", "lat"]].to_numpy(float).reshape(-1, 2, 2)
+        height_m = table["height_m"].to_numpy(float).reshape(-1, 2)
+        datum = table["datum"].to_numpy().reshape(-1, 2)
+        is_home = (lonlat == np.array(mission.home or np.nan)).all(axis=2)
+        is_home &= (datum == "ground") & (height_m == 0)
         return cls(
             leg=numbers,
-            lonlat=table[["lon", "lat"]].to_numpy(float).reshape(-1, 2, 2),
-            height_m=table["height_m"].to_numpy(float).reshape(-1, 2),
-            datum=table["datum"].to_numpy().reshape(-1, 2),
+            lonlat=lonlat,
+            height_m=np.where(is_home, mission.home_above_ground_m, height_m),
+            datum=datum,
             place=pd.Series(ends, dtype=object).to_numpy().reshape(-1, 2),
             follows_ground=follow.astype(bool),
             is_variant=beside.astype(bool),
         )
-
-    def with_home_at(self, mission: Mission) -> "Segments":
-        """Return the segments with the ends on the ground at home as high above it as home is, on a roof."""
-        is_home = (self.lonlat == np.array(mission.home or np.nan)).all(axis=2)
-        is_home &= (self.datum == "ground") & (self.height_m == 0)
-        return self._replace(height_m=np.where(is_home, mission.home_above_ground_m, self.height_m))
 
 
 def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None) -> Flight:
@@ -193,7 +192,7 @@ def flight_of(mission: Mission, ground: Elevation, geoid_m: float | None = None)
     """
     # Where the segments of the mission begin and end, how high, and how much of each lies over the maps.
     maps = ground.maps
-    segments = Segments.of(mission, ground.is_flat).with_home_at(mission)
+    segments = Segments.of(mission, ground.is_flat)
     ends_m = np.nan_to_num(maps.grid.xy_at(segments.lonlat), posinf=NOWHERE_M)
     z_m, lacks = _heights_m(mission, segments, ends_m, ground, geoid_m)
     shares = _shares_within(ends_m, maps.grid.bounds_m)
@@ -289,14 +288,14 @@ def _without_height(
 def _outside(along_m: np.ndarray, shares: np.ndarray, enters: np.ndarray) -> Iterator[pd.DataFrame]:
     """Yield the spans outside the maps: of a segment before it enters them, and after it leaves them.
 
-    A segment that does not meet them is taken to enter and leave them at its end, so that all of it comes before.
+    A segment that does not meet them enters and leaves them at one place.
 
     Args:
       along_m: ``[S, 2]`` metres flown at begin and end of each segment.
       shares: ``[S, 2]`` of the way, from `_shares_within`.
       enters: ``[S]`` whether each meets the maps.
     """
-    enter_m, leave_m = np.where(enters[:, None], between(along_m, shares), along_m[:, 1:]).T
+    enter_m, leave_m = between(along_m, shares).T
     before_m = np.column_stack([along_m[:, 0], enter_m])
     after_m = np.column_stack([leave_m, along_m[:, 1]])
     for outside_m in (before_m, after_m):

@@ -423,7 +423,7 @@ def test_a_mission_that_would_land_on_a_roof_is_refused_in_sight_until_its_ends_
         page.click('[data-format=".plan"]')
         tell = page.locator('[data-is="tell"]')
         until(page, lambda: "the mission is not written" in tell.inner_text())
-        assert "the nearest place to land is" in tell.inner_text()
+        assert "let its ends be moved to free ground" in tell.inner_text()
         assert tell.is_visible()
         page.click("text=Planners and rules")
         page.check('[name="on_ground"]')

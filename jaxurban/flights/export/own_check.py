@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 import shapely
 
@@ -21,8 +20,10 @@ from jaxurban.paths.path import PlannedPath
 
 NO_MAPS = "It was not checked, as the path has no maps."
 UNSURE = "may meet what is of unknown height as it takes off or lands"
-ANOTHER_PLAN = "plan it again with greater clearances, or save it as .kml, .gpx or .geojson"
-MOVE = "let it be moved there by --snap without --ends-in-air (snap=True, on_ground=True)"
+REMEDY = (
+    "let its ends be moved to free ground by --snap without --ends-in-air (snap=True, on_ground=True), plan it again "
+    "with greater clearances, or save it as .kml, .gpx or .geojson"
+)
 
 
 def check_own(route: PlannedPath, data: bytes) -> str:
@@ -57,7 +58,7 @@ def check_own(route: PlannedPath, data: bytes) -> str:
     first = findings.iloc[0]
     raise InputError(
         f"the mission is not written, as its own check ({way}) finds that it {first['what']}, from "
-        f"{first['along_m']:.0f} to {first['to_m']:.0f} m along it: {_remedy(route, maps, first)}"
+        f"{first['along_m']:.0f} to {first['to_m']:.0f} m along it: {REMEDY}"
     )
 
 
@@ -82,33 +83,3 @@ def _findings(route: PlannedPath, maps: MetricMaps, data: bytes, city: City | No
         for row in rows.itertuples()
     ]
     return pd.concat([findings, rows[is_met]]) if any(is_met) else findings
-
-
-def _remedy(route: PlannedPath, maps: MetricMaps, finding: pd.Series) -> str:
-    """Return what to do about a finding: where the mission may take off or land instead, or to plan otherwise.
-
-    Args:
-      route: the path.
-      maps: that it was planned on.
-      finding: at the start, at the goal or between them; the nearer end is looked at.
-    """
-    grid = maps.grid
-    is_start = bool(finding["along_m"] < route.length_m / 2)
-    name, act, place = ("start", "take off", 0) if is_start else ("goal", "land", -1)
-    xy_m = route.xy_m[place]
-    is_free = constraints_of(route).is_free_to_ground(
-        maps,
-        float(route.z_m[place]),
-        time=route.settings.get("time"),
-        time_of_day=route.settings.get("time_of_day"),
-    )
-    if is_free[grid.cell_of_xy(*xy_m)] or not is_free.any():
-        return ANOTHER_PLAN
-    cells = np.argwhere(is_free)
-    away_m = np.hypot(*np.subtract(grid.xy_of_cell(*cells.T), xy_m[:, None]))
-    nearest = int(np.argmin(away_m))
-    lon, lat = grid.lonlat_of_cell(*cells[nearest])
-    return (
-        f"the nearest place to {act} is {lon:.6f},{lat:.6f}, {away_m[nearest]:.0f} m from the {name}: "
-        f"name it, or {MOVE}"
-    )
