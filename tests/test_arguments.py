@@ -584,7 +584,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "max_people": 0.001,
         "swath_m": 90.0,
         "ceiling_m": 2,
-        "weights": {"risk": 50.0},
         "sources": Case(
             "no/such/folder", {"mission": lambda: over_few(), "maps": lambda: few_maps()}
         ),
@@ -955,7 +954,6 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--limits max_no_fix_m": "0.5",
             "--limits max_people": "0.001",
             "--limits ceiling_m": "2",
-            "--weights": "risk=50",
             "--sources": Case("no/such/folder", refused="no/such"),
             "--resolution": "40",
             "-o": Case("{home}/town.toml", refused="town.toml"),
@@ -1213,7 +1211,6 @@ NAMED_IN_VAIN: dict[str, tuple[Callable[[], Any], str]] = {
             "plan_many": lambda: ju.plan_many(
                 without_people(), [(START, GOAL)], altitude_m=60.0, weights=PEOPLE, progress=False
             ),
-            "check": lambda: on.checked(maps=without_people(), weights={"population": 5.0}),
             "sample": lambda: ju.studies.sample_instances(without_people(), 1, weights=[PEOPLE]),
             "table": lambda: ju.studies.study(
                 without_people(),
