@@ -32,7 +32,8 @@ def main() -> None:
         axes.plot(*path.xy_m.T, color=colour, linewidth=2.5, label=label)
     x_m, y_m = np.concatenate([shortest.xy_m, round_towers.xy_m]).T
     side_m = np.ptp(y_m) + 3 * MARGIN_M
-    axes.set_xlim(x_m.min() - MARGIN_M, x_m.min() - MARGIN_M + side_m)
+    west_m = max(x_m.min() - MARGIN_M, maps.grid.x_min_m)
+    axes.set_xlim(west_m, west_m + side_m)
     axes.set_ylim(y_m.min() - MARGIN_M, y_m.max() + 2 * MARGIN_M)
     # Above the routes and beside the arrow to the north.
     axes.legend(loc="upper left", fontsize=8.0, facecolor="lightgrey", framealpha=1.0)

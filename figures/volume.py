@@ -21,8 +21,7 @@ from jaxurban.planners.base import Problem
 
 FILE = Path(__file__).with_suffix(".png")
 ROOF, COLOURS, LEVELS_M = "#8a8a8a", "plasma", (10.0, 80.0)
-# Shares of each path at which its letter stands: from above, and in the profile.
-AT = {"A": (0.3, 0.6), "B": (0.6, 0.85)}
+AT = {"A": 0.3, "B": 0.6}  # shares of each path at which its letter stands
 SHOWN = np.s_[:160, :180]  # of the synthetic city's rows and columns
 CIRCLE = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.8}
 LETTER = {"size": 9, "weight": "bold", "ha": "center", "va": "center", "bbox": CIRCLE, "zorder": 6}
@@ -77,7 +76,7 @@ def draw_plan(panel: Axes, roof_m: np.ndarray, resolution_m: float, paths, norm:
         panel.add_collection(
             LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.8, zorder=3)
         )
-        panel.text(*points[round(AT[letter][0] * len(points)), :2], letter, **LETTER)
+        panel.text(*points[round(AT[letter] * len(points)), :2], letter, **LETTER)
     ends = next(iter(paths.values()))[[0, -1], :2]
     panel.plot(*ends[0], "o", color="white", markeredgecolor="black", markersize=7, zorder=5)
     panel.plot(*ends[1], "*", color="white", markeredgecolor="black", markersize=13, zorder=5)
@@ -92,55 +91,46 @@ def draw_plan(panel: Axes, roof_m: np.ndarray, resolution_m: float, paths, norm:
 
 
 def draw_profile(
-    panel: Axes,
-    roof_m: np.ndarray,
-    resolution_m: float,
-    paths: dict[str, np.ndarray],
-    norm: Normalize,
+    panel: Axes, roof_m: np.ndarray, resolution_m: float, points: np.ndarray, norm: Normalize
 ) -> None:
-    """Draw the altitudes of both paths over the way flown, with the roofs beneath the first of them."""
-    for letter, (label, points) in zip("AB", paths.items(), strict=True):
-        along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T)))
-        if letter == "A":
-            cols, rows = np.floor(points[:, :2] / resolution_m).astype(int).T
-            look = {"color": ROOF, "linewidth": 0, "label": "roofs below A"}
-            panel.fill_between(along_m, roof_m[rows, cols], step="mid", **look)
-        pieces = np.stack([points[:-1], points[1:]], axis=1)[:, :, [0, 2]]
-        pieces[:, 0, 0], pieces[:, 1, 0] = along_m[:-1], along_m[1:]
-        middle_m = (points[:-1, 2] + points[1:, 2]) / 2
-        panel.plot(along_m, points[:, 2], color="black", linewidth=3.6)
-        panel.add_collection(
-            LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.2, zorder=3)
-        )
-        climbed_m = np.maximum(np.diff(points[:, 2]), 0).sum()
-        length_m = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-        facts = f"{letter}: {label}; {length_m:,.0f} m flown, {climbed_m:.0f} m climbed"
-        panel.plot([], [], " ", label=facts)
-        place_m = AT[letter][1] * along_m[-1]
-        panel.text(place_m, np.interp(place_m, along_m, points[:, 2]), letter, **LETTER)
-    panel.legend(loc="upper left", handlelength=1.2)
+    """Draw the altitudes of a path over the way flown, with the roofs beneath."""
+    along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T)))
+    cols, rows = np.floor(points[:, :2] / resolution_m).astype(int).T
+    panel.fill_between(along_m, roof_m[rows, cols], step="mid", color=ROOF, linewidth=0)
+    pieces = np.stack([points[:-1], points[1:]], axis=1)[:, :, [0, 2]]
+    pieces[:, 0, 0], pieces[:, 1, 0] = along_m[:-1], along_m[1:]
+    middle_m = (points[:-1, 2] + points[1:, 2]) / 2
+    panel.plot(along_m, points[:, 2], color="black", linewidth=3.6)
+    panel.add_collection(
+        LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.2, zorder=3)
+    )
+    climbed_m = np.maximum(np.diff(points[:, 2]), 0).sum()
+    length_m = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    title = f"{panel.get_title(loc='left')}\n{length_m:,.0f} m flown, {climbed_m:.0f} m climbed"
+    panel.set(title=title, xlabel="flown, seen from above (m)")
 
 
 @styled
 def picture() -> Figure:
     """Return the figure."""
-    figure = chart(6.0, "Over or around: what a metre of climb costs decides")
-    figure.get_layout_engine().set(rect=(0.015, 0, 0.985, 1))  # else a label at the left is cut
+    figure = chart(5.2, "Over or around: what a metre of climb costs decides")
     cities = {"a wall of 30 m": wall(), "the synthetic city": city()}
-    axes = figure.subplots(2, 2, width_ratios=(1, 1.25))
+    axes = figure.subplots(2, 3)
     norm = Normalize(*LEVELS_M)
-    for (plan, profile), (name, (roof_m, resolution_m, paths, levels_m)) in zip(
+    for row, (name, (roof_m, resolution_m, paths, levels_m)) in zip(
         axes, cities.items(), strict=True
     ):
-        draw_plan(plan, roof_m, resolution_m, paths, norm)
-        plan.set_title(f"{name}, from above")
-        draw_profile(profile, roof_m, resolution_m, paths, norm)
-        profile.set(ylim=(0, 1.5 * levels_m[-1]), ylabel="above ground (m)", xlim=(0, None))
-        profile.set(title="heights flown", xlabel="distance flown, seen from above (m)")
-        profile.set_yticks(levels_m)
-        profile.grid(axis="y", linewidth=0.5)
+        draw_plan(row[0], roof_m, resolution_m, paths, norm)
+        row[0].set_title(f"{name}, from above")
+        for profile, letter, (label, points) in zip(row[1:], "AB", paths.items(), strict=True):
+            profile.set_title(f"{letter}: {label}")
+            draw_profile(profile, roof_m, resolution_m, points, norm)
+            profile.set(ylim=(0, 1.2 * levels_m[-1]), xlim=(0, None))
+            profile.set_yticks(levels_m)
+            profile.grid(axis="y", linewidth=0.5)
+        row[1].set_ylabel("above ground (m)")
     letter_all(axes.ravel())
-    bar = figure.colorbar(ScalarMappable(norm, COLOURS), ax=axes, location="right", aspect=50)
+    bar = figure.colorbar(ScalarMappable(norm, COLOURS), ax=axes, location="bottom", aspect=50)
     bar.set_label("altitude above ground (m)")
     bar.outline.set(linewidth=0.4)
     return figure

@@ -52,7 +52,7 @@ plot_overview(maps, paths)
 # %% [markdown]
 # ## The paths, closer
 #
-# The two A\* paths cost the same, and where they coincide they are drawn side by side. The maps hold four altitudes;
+# The two A\* paths cost the same, and where routes coincide the first is the wider line. The maps hold four altitudes;
 # here is the one that was asked for.
 
 # %%

@@ -236,8 +236,8 @@ def plot_printed() -> Figure:
     figure, (panel,) = panels(1, heading, height_in=2.5)
     panel.plot(expanded, excess, "o", color=colours["astar-plus"], markersize=5, label="a query")
     panel.axhline(0, color="black", linewidth=0.8, label="the cheapest path")
-    panel.axvline(1, color="black", linewidth=0.8, linestyle="--", label="as many cells as `tiles`")
-    panel.set(xlabel="cells expanded, as a multiple of those of `tiles`")
+    panel.axvline(1, color="black", linewidth=0.8, linestyle="--", label="as many cells as tiles")
+    panel.set(xlabel="cells expanded, as a multiple of those of the heuristic tiles")
     panel.set(ylabel="cost above the cheapest path (%)")
     legend_below(figure, panel)
     return figure

@@ -96,7 +96,7 @@ for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.
     )
 
 # %% [markdown]
-# One of them. The costs below are each in its own weights and cannot be compared.
+# One of them.
 
 # %%
 battery, tompkins_square = (-74.0162, 40.7036), (-73.9817, 40.7265)  # longitude, latitude

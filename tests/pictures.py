@@ -19,6 +19,8 @@ from matplotlib.patheffects import AbstractPathEffect, Normal
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
+from jaxurban.draw.paths import EDGED
+
 LEAST_PT, LEAST_CONTRAST = 6.0, 1.5  # of letters as printed; by WCAG 2.2, of relative luminances
 MM_PER_IN = 25.4
 # Of a text's box: lines are boxed from the top of the tallest letter to the foot of the deepest, with or without them.
@@ -173,7 +175,8 @@ def _has_edge(artist: Artist) -> bool:
     effects = artist.get_path_effects() or []
     edges = [effect for effect in effects if not isinstance(effect, Normal)]
     has_box = isinstance(artist, Text) and artist.get_bbox_patch() is not None
-    return has_box or any(_is_wider(effect) for effect in edges)
+    is_edged = artist.get_gid() == EDGED
+    return has_box or is_edged or any(_is_wider(effect) for effect in edges)
 
 
 def _is_wider(effect: AbstractPathEffect) -> bool:

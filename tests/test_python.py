@@ -151,16 +151,6 @@ def test_pictures_take_one_path_several_or_a_batch(paths):
         plot_paths(MAPS, [5])
 
 
-def test_paths_are_where_they_are_without_lanes_and_the_legend_names_none(paths):
-    same = [paths[0], paths[0]]
-    for lanes in (True, False):
-        figure = plot_paths(MAPS, same, names=["a", "b"], lanes=lanes)
-        first, second = [line.get_xydata() for line in figure.axes[0].lines[:2]]
-        assert (np.abs(first - second).max() > 0) == lanes
-        names = [text.get_text() for text in figure.findobj(Text)]
-        assert any("side by side" in name for name in names) == lanes
-
-
 def test_a_bare_picture_has_neither_title_nor_note_and_its_panels_are_as_large():
     figure = plot_metric(MAPS, "gps", altitude_m=20.0)
     figure.draw_without_rendering()

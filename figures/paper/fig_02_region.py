@@ -28,7 +28,7 @@ WATER, LAND, FAR_LAND, PARK = "#dbe6ee", "#ffffff", "#ececec", "#b9d8a8"
 BOX, EXTRACT, STUDY = "#111111", "#0072b2", "#d55e00"
 BORDER = "#7a4b8c"
 MANHATTAN_LABELS, CENTRAL_PARK = range(101, 113), 164
-WIDTH_MM = 140.0  # as wide as a map of a page's height and its legend need
+WIDTH_MM = 162.0  # as wide as a map of a page's height and its legend need
 AROUND_M = (900, 900, 900, 2600)  # shown beyond the region: west, south, east, north
 PAPER = (
     "The box L, 10 km wide and 20 km tall, centred in Manhattan, over a street map. Its corners are not given, and no "

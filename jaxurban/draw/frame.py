@@ -214,8 +214,13 @@ def draw_maps(
     is_full = len(panels) == size.num_rows * size.num_cols
     if is_full and not size.is_beside:
         row_heights.append(0.01)
-    cells = figure.add_gridspec(len(row_heights), size.num_cols, height_ratios=row_heights)
-    axes = [figure.add_subplot(cells[number]) for number in range(len(panels))]
+    col_widths = [size.cell_in] * size.num_cols + [SIDE_IN] * size.is_beside
+    cells = figure.add_gridspec(
+        len(row_heights), len(col_widths), width_ratios=col_widths, height_ratios=row_heights
+    )
+    axes = [
+        figure.add_subplot(cells[divmod(number, size.num_cols)]) for number in range(len(panels))
+    ]
 
     # Each panel with its title, and its ticks or the bar below it.
     for number, (spot, panel, bar) in enumerate(zip(axes, panels, bars, strict=True)):
@@ -230,9 +235,11 @@ def draw_maps(
 
     # The one colour bar and the legend, and then the figure's height, which depends on them.
     if colours is not None:
-        add_colour_bar(figure, axes, colours, "right" if size.is_beside else "bottom")
-    gap = None if size.is_beside else cells[len(panels) :]
-    _add_key(figure, legend, gap, size.cell_in)
+        gap_share = (1 - size.panel_in / size.cell_in) / size.num_cols  # right of the last panel
+        add_colour_bar(figure, axes, colours, "bottom", share=1 - gap_share)
+    gap = cells[:, -1] if size.is_beside else cells[len(panels) :]
+    gap_in = SIDE_IN if size.is_beside else len(gap.colspan) * size.cell_in
+    _add_key(figure, legend, gap, gap_in)
     _settle(figure, axes, size)
     return figure, axes
 
@@ -325,16 +332,15 @@ def _add_bar_below(figure: Figure, spot: Axes, bar: Colours, size: Size) -> None
 
 
 def _add_key(
-    figure: Figure, legend: Iterable[LegendEntry], gap: SubplotSpec | None, cell_in: float
+    figure: Figure, legend: Iterable[LegendEntry], gap: SubplotSpec, gap_in: float
 ) -> None:
     """Add a legend to a figure of maps.
 
     Args:
       figure: of the maps.
       legend: the entries, in order; a name with a colour becomes a filled patch.
-      gap: cells of the grid of panels that hold no panel: the legend stands there, in as many columns as fit;
-        None: it stands to the right of all panels.
-      cell_in: width of a cell of that grid, inches.
+      gap: cells of the grid of panels that hold no panel: the legend stands there, in as many columns as fit.
+      gap_in: width of these cells, inches.
     """
     handles = []
     for entry in legend:
@@ -342,15 +348,12 @@ def _add_key(
             name, colour = entry
             entry = Patch(facecolor=colour, label=name, edgecolor=FAINT_INK, linewidth=0.4)
         handles.append(entry)
-    look: Look = {"handles": handles, "handlelength": 1.4}
-    if gap is None:
-        figure.legend(loc="outside right center", **look)
-        return
     holder = figure.add_subplot(gap)
     holder.set_axis_off()
     names = [str(handle.get_label()) for handle in handles]
-    num_cols = legend_columns(names, len(gap.colspan) * cell_in)
-    holder.legend(loc="upper left", ncols=num_cols, borderaxespad=0, **look)
+    num_cols = legend_columns(names, gap_in)
+    look: Look = {"loc": "upper left", "borderaxespad": 0, "handlelength": 1.4}
+    holder.legend(handles=handles, ncols=num_cols, **look)
 
 
 def _settle(figure: Figure, axes: Sequence[Axes], size: Size) -> None:

@@ -104,6 +104,6 @@ def _heights_figure(
             flat_layer(is_roof, OBSTACLE_COLOUR),
             flat_layer(is_guessed, GUESSED_ROOF_COLOUR),
         ]
-        panels.append(MapPanel(f"height guessed: {share} of roofs", layers))
+        panels.append(MapPanel(f"height guessed: {share} of cells with a roof", layers))
         legend.append(("height guessed", GUESSED_ROOF_COLOUR))
     return draw_maps(grid, panels, "Heights (m)", note, legend=legend, width=width)[0]

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import shapely
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import Stroke, withStroke
 
 from jaxurban.draw.frame import (
     BLOCKED_COLOUR,
@@ -48,7 +47,7 @@ from jaxurban.draw.metrics import (
     roof_layers,
 )
 from jaxurban.draw.style import Colours, Width
-from jaxurban.draw.write import Figures, save
+from jaxurban.draw.write import Figures, Look, save
 from jaxurban.errors import InputError
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -74,12 +73,10 @@ PLANNER_COLOURS = {
 OTHER_COLOURS = ("#00857a", "#7b3fb5", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff", "#404040")
 COST_COLOURS = Colours("gray", Normalize(0, 1), "normalised cost\n(0: best free cell, 1: worst)")
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
-LINE_PT = 1.6  # of a path
-EDGE_PT = 0.4  # of its white edge, which parts it from the map and from the next one
-APART_PT = 2.3  # from the middle of a path to that of the next one where both coincide
-# Lines are side by side where more than `SHARED` of a stretch lies in the other's cells, which is `SHORT` of the line.
-SHORT, SHARED = 0.02, 0.5
-POINTS_PER_IN = 72
+# Widths of the last path of a panel, which lies over the others, and of the first of many.
+LINE_PT, WIDEST_PT = 1.4, 4.4
+EDGED = "edged"  # gid of lines that have white edges
+EDGE_PT = 0.4  # of their white edge, which parts them from the map
 
 Paths = PlannedPath | Sequence[PlannedPath | None]
 
@@ -134,15 +131,13 @@ def plot_paths(
     names: Sequence[str] | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
-    lanes: bool = True,
     width: Width = "page",
 ) -> Figure:
     """Return the normalised cost by altitude (black best, white worst) with the paths of all planners.
 
     A panel shows the GPS time and the time of day that its paths were planned for, in its title where they differ from
-    panel to panel. Under it stands each planner's cost and length, or its status. Where paths share cells they are
-    drawn side by side (`side_by_side`), so that all are seen. Cells that are closed to all of them and no obstacle are
-    hatched (`closed_at`).
+    panel to panel. Under it stands each planner's cost and length, or its status. Earlier paths are wider, so that all
+    are seen where they coincide. Cells that are closed to all of them and no obstacle are hatched (`closed_at`).
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
@@ -151,7 +146,6 @@ def plot_paths(
       names: what the paths are called, one after the other; left out, by their planners.
       time: UTC time of the GPS maps of a panel without paths; the first if left out.
       time_of_day: of the population map of a panel without paths; the first if left out.
-      lanes: whether paths are drawn side by side where they share cells; else each is where it is, the last on top.
       width: see `plot_metric`.
 
     Raises:
@@ -186,7 +180,7 @@ def plot_paths(
     colours = planner_colours(each.name for each in named)
     paths_at = [[each.path for each in shown] for shown in named_at.values()]
     names_drawn = {each.name: colours[each.name] for each in drawn}
-    entries = path_entries(names_drawn, *paths_at, lanes=lanes)
+    entries = path_entries(names_drawn, *paths_at)
     figure, axes = draw_maps(
         maps.grid,
         panels,
@@ -197,7 +191,7 @@ def plot_paths(
         width=width,
     )
     for panel, shown, here in zip(axes, named_at.values(), paths_at, strict=True):
-        draw_paths(panel, here, [colours[each.name] for each in shown], APART_PT * lanes)
+        draw_paths(panel, here, [colours[each.name] for each in shown])
     return figure
 
 
@@ -255,11 +249,11 @@ def _cost_panel(
     title = joined(f"{place.altitude_m:g} m", place.time_of_day, by=" · ")
     if place.time and has_time:
         title = joined(title, time_said(place.time), by=" · ")
-    foot = joined(
-        "cost, length:" if named else "",
-        *(outcome_line(each.path, each.name) for each in named),
-        by="\n",
-    )
+    # Costs under different weights cannot be compared.
+    has_cost = len({str(each.path.settings["weights"]) for each in named}) == 1
+    head = "cost, length:" if has_cost else "length:"
+    outcomes = [outcome_line(each.path, each.name, has_cost) for each in named]
+    foot = "\n".join([head, *outcomes]) if named else ""
     is_closed = closed_at(maps, place, [each.path for each in named])
     return MapPanel(title, cost_layers(maps, *place), foot, is_closed=is_closed)
 
@@ -308,139 +302,73 @@ def closed_at(maps: MetricMaps, place: CostChoice, paths: Sequence[PlannedPath])
     return (np.min(causes, axis=0) > OBSTACLE) & maps.ds["has_data"].values
 
 
-def draw_paths(
-    panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str], apart_pt: float = APART_PT
-) -> None:
+def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]) -> None:
     """Draw the paths that reach their goal, and start and goal of the first of them.
 
     Args:
       panel: a map.
       paths: the paths of the panel; those without a route are left out.
       colours: one for each path.
-      apart_pt: from one lane to the next; 0: every path is where it is.
     """
     shown = zip(paths, colours, strict=True)
-    found = [(path, colour) for path, colour in shown if path.status.has_path]
-    side_m = max((path.settings["resolution_m"] for path, _ in found), default=0.0)
-    lines_m = [path.xy_m for path, _ in found]
-    draw_lines(panel, lines_m, side_m, [colour for _, colour in found], apart_pt)
+    found = [(path.xy_m, colour) for path, colour in shown if path.status.has_path]
+    draw_lines(panel, [line_m for line_m, _ in found], [colour for _, colour in found])
     draw_ends(panel, paths)
 
 
 def draw_lines(
-    panel: Axes,
-    lines_m: Sequence[np.ndarray],
-    side_m: float,
-    colours: Sequence[str],
-    apart_pt: float = APART_PT,
+    panel: Axes, lines_m: Sequence[np.ndarray], colours: Any, styles: Sequence[Any] = ("-",)
 ) -> None:
-    """Draw lines with white edges, side by side where they share cells.
+    """Draw lines with white edges where they are, the first widest, so that all are seen where they coincide.
 
     Args:
-      panel: a map whose place in the figure is settled.
+      panel: a map.
       lines_m: ``[N, 2]`` easting and northing of the points of each line, in metres.
-      side_m: of a cell.
       colours: one for each line.
-      apart_pt: from one lane to the next; 0: every line is where it is.
+      styles: of the lines, one after the other, as Matplotlib has them.
     """
-    figure: Any = panel.figure
-    m_per_pt = np.ptp(panel.get_xlim()) / panel.bbox.width * figure.dpi / POINTS_PER_IN
-    places_m = side_by_side(lines_m, side_m, apart_pt * m_per_pt)
-    edge = withStroke(linewidth=LINE_PT + 2 * EDGE_PT, foreground="white")
-    for line_m, colour in zip(places_m, colours, strict=True):
-        panel.plot(
-            *line_m,
-            zorder=4,
-            path_effects=[edge],
-            color=colour,
-            linewidth=LINE_PT,
-            solid_joinstyle="round",
-        )
+    widths_pt = widths_of(len(lines_m))
+    look: Look = {"joinstyle": "round", "zorder": 4, "gid": EDGED}
+    edges = LineCollection(lines_m, linewidths=widths_pt + 2 * EDGE_PT, colors="white", **look)
+    lines = LineCollection(lines_m, linewidths=widths_pt, colors=colours, linestyles=styles, **look)
+    for drawn in (edges, lines):
+        panel.add_collection(drawn, autolim=False)
 
 
-def side_by_side(
-    lines_m: Sequence[np.ndarray], side_m: float, apart_m: float
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return where lines are drawn: spread evenly around their place where they share cells, elsewhere where they are.
-
-    Lines that only cross each other stay (`SHARED`), and those that part do so gently.
-
-    Args:
-      lines_m: ``[N, 2]`` easting and northing of the points of each line, in metres.
-      side_m: of a cell.
-      apart_m: from one line to the next in a cell that they share.
-
-    Returns:
-      ``[V]`` eastings and ``[V]`` northings of each line, which has more points than before.
-    """
-    points_m = [
-        shapely.get_coordinates(shapely.segmentize(shapely.LineString(line_m), side_m / 2))
-        for line_m in lines_m
-    ]
-    cells = [np.floor(each_m / side_m) @ (1, 1j) for each_m in points_m]
-    places_m = []
-    for number, each_m in enumerate(points_m):
-        num = 1 + int(SHORT * len(each_m))
-        window = np.ones(num) / num
-        # Half a lane to the left for each line before this one in the same cells, and to the right for each after it.
-        lanes = np.zeros(len(each_m))
-        for other, other_cells in enumerate(cells):
-            share = np.convolve(np.isin(cells[number], other_cells), window, "same")
-            lanes += np.sign(number - other) * (share > SHARED) / 2
-        # Places as complex numbers, so that the unit step to the left is i times that along the line.
-        xy_m = each_m @ (1, 1j)
-        along_m = np.convolve(np.gradient(xy_m), window, "same")
-        left = 1j * along_m / np.maximum(abs(along_m), 1e-9)
-        xy_m += apart_m * np.convolve(lanes, window, "same") * left
-        places_m.append((xy_m.real, xy_m.imag))
-    return places_m
+def widths_of(num: int) -> np.ndarray:
+    """Return the widths of lines in points, each a point less than the one before it, or less of more than four."""
+    return np.linspace(min(WIDEST_PT, LINE_PT + num - 1), LINE_PT, num)
 
 
-BESIDE = Line2D(
-    [],
-    [],
-    linewidth=LINE_PT,
-    color="#555555",
-    path_effects=[Stroke(offset=(0, -APART_PT / 2)), Stroke(offset=(0, APART_PT / 2))],
-    label="shared stretches:\nside by side",
-)
-
-
-def path_entries(
-    colours: Mapping[str, str], *paths_at: Sequence[PlannedPath], lanes: bool = True
-) -> list[Line2D]:
-    """Return the entries of a legend: the names of paths, their ends, and that some are drawn side by side.
-
-    The latter two are left out where no panel shows such paths.
+def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -> list[Line2D]:
+    """Return the entries of a legend: the names of paths, and their ends where a panel shows any.
 
     Args:
       colours: of the paths, by their names.
       paths_at: the paths of each panel.
-      lanes: whether paths are drawn side by side where they share cells.
     """
     lines = [
         Line2D([], [], color=colour, linewidth=2.5, label=legend_name(name))
         for name, colour in colours.items()
     ]
-    num_found = [sum(path.status.has_path for path in paths) for paths in paths_at]
-    if any(num_found):
+    if any(path.status.has_path for path in chain(*paths_at)):
         lines += ENDS
-    if lanes and max(num_found, default=0) > 1:
-        lines.append(BESIDE)
     return lines
 
 
-def outcome_line(path: PlannedPath, name: str) -> str:
+def outcome_line(path: PlannedPath, name: str, has_cost: bool = True) -> str:
     """Return a line of text: a path's name, with its cost and its length in km, or with its status without a route.
 
     Args:
       path: the path.
       name: what pictures call it.
+      has_cost: whether the cost is named.
     """
     if not path.status.has_path:
         return f"{legend_name(name)}: {path.status.value}"
     cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
-    return f"{legend_name(name)}: {cost}, {path.length_m / 1000:.2f} km"
+    length = f"{path.length_m / 1000:.2f} km"
+    return f"{legend_name(name)}: {joined(cost if has_cost else '', length, by=', ')}"
 
 
 def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:

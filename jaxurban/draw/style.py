@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 from matplotlib import colormaps, rc_context
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
@@ -270,10 +269,7 @@ def legend_below(figure: Figure, panel: Axes) -> None:
     """Write the legend of a panel at the foot of its figure, which has no note, in as many columns as fit."""
     handles, names = panel.get_legend_handles_labels()
     num_cols = min(len(names), legend_columns(names, figure.get_figwidth()))
-    legend = figure.legend(handles, names, loc="outside lower center", ncols=num_cols)
-    for handle in legend.legend_handles:  # a line that is drawn beside its place stands at it here
-        if isinstance(handle, Artist):
-            handle.set_path_effects([])
+    figure.legend(handles, names, loc="outside lower center", ncols=num_cols)
 
 
 def show_shares(
@@ -465,6 +461,7 @@ def add_colour_bar(
     colours: Colours,
     location: str = "right",
     cax: Axes | None = None,
+    share: float = 1.0,
 ) -> None:
     """Add a colour bar to a figure.
 
@@ -474,10 +471,13 @@ def add_colour_bar(
       colours: what it shows, and its label and ticks.
       location: ``"right"`` of the panels, upright, or at their ``"bottom"``.
       cax: axes that the bar fills, lying, in place of a location.
+      share: of the panels' width, from its left, that a bar at the bottom fills.
     """
     # Where the bar stands: beside all panels, or in axes of its own.
     place: Look = {"ax": axes, "location": location, "panchor": False}
     place["aspect"] = 25 if location == "right" else 50  # length of the bar by its width
+    if location == "bottom":
+        place |= {"shrink": share, "anchor": (0, 1)}
     if cax is not None:
         place = {"cax": cax, "orientation": "horizontal"}
     bar = figure.colorbar(

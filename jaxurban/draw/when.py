@@ -18,6 +18,7 @@ from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.paths.when import Departures
 
 MOST_TICKS, HEIGHT_IN = 8, 3.0
+FACTS = "best", "worst", "times without a path"  # of the departures, in the note
 WIDTHS_PT = 3.2, 2.0, *(1.2,) * 5  # of the lines
 LABELS = "cost above best (%)", "no fix (m)"
 FOOT = 0.05  # of the scales, below 0, so that marks there are whole
@@ -29,7 +30,7 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
     """Return the cost above the best time and the length without a fix by time, a line for each time of day.
 
     At hollow marks a route differs from the best time's. A line has a gap where a route has no path. With one time
-    alone, times of day are along the axis instead. Where no flight without a fix is known, its panel is left out.
+    alone, times of day are along the axis instead. Where no fix is known to be lost, that panel is left out.
 
     Args:
       departures: from `jaxurban.when`.
@@ -48,11 +49,12 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
     table["x"] = table[along].factorize()[0]
 
     # A panel of the cost, and one of the length without a fix where a route has any.
-    facts = [f"{name}: {fact}" for name, fact in departures.facts.items() if fact]
+    known = departures.facts
+    facts = [f"{name}: {known[name]}" for name in FACTS if known.get(name)]
     num = 2
     if "no_fix_m" not in table or not table["no_fix_m"].any():
         num = 1
-        facts.append("no flight without a fix is known")
+        facts.append("no fix is known to be lost")
     note = f"{joined(*facts)}\n{frame_note(as_maps(maps))}"
     figure = chart(HEIGHT_IN, "When to fly", note, width)
     ratios = (2, 1)[:num]

@@ -106,11 +106,10 @@ def plot_mission(result: MissionCheck) -> Figure:
     found = result.findings
     is_drawn = True, flight.mission.home, True, True, len(found), result.zones, has_guessed
     legend = [*compress(LEGEND, is_drawn)]
-    panel = frame.MapPanel(f"Roof height (m), {flight.mission.name}", shown)
+    panel = frame.MapPanel("Roof height (m)", shown)
+    heading = frame.joined(flight.mission.name, result.sentence)
     note = frame.frame_note(maps)
-    figure, (axes,) = frame.draw_maps(
-        grid, [panel], result.sentence, note, legend=legend, colours=colours
-    )
+    figure, (axes,) = frame.draw_maps(grid, [panel], heading, note, legend=legend, colours=colours)
 
     # Over them streets, zones, the mission with its home and ends, and the findings.
     if maps.base_map is not None:
@@ -135,7 +134,7 @@ def plot_flown_heights(result: MissionCheck) -> Figure:
     along_m = steps.along_m[:, 0]  # at the start of each step
     # In a gap between steps the mission has left the maps, where neither it nor a roof is drawn.
     is_before_gap = np.append(np.diff(along_m) > GAP_M, False)
-    figure = chart(HEIGHT_IN, "Height along the mission", result.sentence)
+    figure = chart(HEIGHT_IN, "Height along the mission")
     axes = figure.subplots()
     roof_m = np.where(is_before_gap, np.nan, result.maps.m(TOUCHED)[tuple(steps.cell.T)])
     axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
@@ -150,5 +149,6 @@ def plot_flown_heights(result: MissionCheck) -> Figure:
 
 def _mark(axes: Axes, x: Any, y: Any) -> None:
     """Mark findings at ``x`` and ``y``, and write their numbers, from 1, beside them; the limits of the axes stay."""
-    axes.plot(x, y, **FOUND)
+    if len(x):
+        axes.plot(x, y, **FOUND)
     label_apart(axes, map(str, range(1, len(x) + 1)), np.column_stack([x, y]), **NUMBER)

@@ -10,7 +10,6 @@ from functools import partial
 import matplotlib
 import numpy as np
 import pytest
-import shapely
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.legend import Legend
@@ -26,10 +25,10 @@ from jaxurban.draw.metrics import obstacle_patches, precise_percent
 from jaxurban.draw.paths import (
     LINE_PT,
     PLANNER_COLOURS,
+    WIDEST_PT,
     CostChoice,
     closed_at,
     maps_figures,
-    side_by_side,
 )
 from jaxurban.draw.style import chart, wrapped
 from jaxurban.draw.write import DPI, write_picture
@@ -129,8 +128,9 @@ def titles_of(figure) -> list[str]:
     return [panel.get_title(loc="left") for panel in panels_of(figure)]
 
 
-def lines_of(panel) -> list:
-    return [line for line in panel.lines if line.get_marker() in ("None", None, "")]
+def lines_of(panel) -> list[np.ndarray]:
+    """Return the lines of routes, which lie over their white edges."""
+    return panel.collections[-1].get_segments()
 
 
 def colours_of(name: str, values) -> list[str]:
@@ -237,9 +237,11 @@ def test_classes_people_and_costs_have_the_colours_of_their_values(maps):
     gdop, is_free = maps.m("gdop", 20.0), maps.is_free(20.0, "centre")
     steps = matplotlib.colormaps["viridis"](np.linspace(1, 0, 6))
     at_night = maps.m("density", time_of_day="night")[5, 20]
+    most = maps.ds["density"].values.max()
+    unit = 10.0 ** np.floor(np.log10(most))
     share = (
-        1 + np.log10(at_night / maps.ds["density"].values.max()) / 3
-    )  # of one scale for day and night
+        1 + np.log10(at_night / (unit * np.ceil(most / unit))) / 3
+    )  # of one scale for day and night, up to a round number
     norm = np.where(is_free, maps.normalised(20.0, time_of_day="day"), np.nan)
     expected = [
         (dop, 0, is_free & np.isinf(gdop), to_hex(matplotlib.colormaps["viridis_r"](1.0))),
@@ -271,11 +273,8 @@ def test_paths_have_the_papers_colours_and_coinciding_ones_both_show(maps):
     assert titles_of(plotting.plot_paths(maps, both)) == ["(a) 20 m · night", "(b) 20 m · day"]
     assert titles_of(plotting.plot_paths(maps, (), time_of_day="night"))[0] == "(a) 20 m · night"
     for panel in panels_of(figure):
-        lines = lines_of(panel)
-        assert [line.get_color() for line in lines] == [
-            PLANNER_COLOURS["astar-dist"],
-            PLANNER_COLOURS["astar-plus"],
-        ]
+        colours = [to_hex(colour) for colour in panel.collections[-1].get_colors()]
+        assert colours == [PLANNER_COLOURS["astar-dist"], PLANNER_COLOURS["astar-plus"]]
         outcomes = panel.get_xlabel().splitlines()[-3:]
         assert outcomes == [
             "ptp: blocked",
@@ -302,34 +301,20 @@ def test_paths_that_are_cheapest_by_proof_are_one_line(maps):
 
 
 @pytest.mark.usefixtures("laid_out")
-def test_routes_that_coincide_are_drawn_side_by_side_and_one_apart_at_its_place(maps):
+def test_routes_that_coincide_are_all_seen_and_each_is_drawn_where_it_is(maps):
     paths = [make_path(maps, name) for name in PLANNER_COLOURS]
-    canvas = FigureCanvasAgg(plotting.plot_paths(maps, paths, names=[*PLANNER_COLOURS]))
+    figure = plotting.plot_paths(maps, paths, names=[*PLANNER_COLOURS])
+    (panel,) = panels_of(figure)
+    for line_m, path in zip(lines_of(panel), paths, strict=True):
+        assert np.array_equal(line_m, path.xy_m)
+    figure.set_dpi(DPI)
+    canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    shown = np.asarray(canvas.buffer_rgba())[..., :3]
-    for colour in PLANNER_COLOURS.values():
-        is_drawn = (shown == np.round(255 * np.array(to_rgb(colour)))).all(axis=-1)
-        assert (
-            is_drawn.sum() > 300
-        )  # but 90 of them are the legend's: one above another would hide four
-
-
-def test_lines_are_beside_each_other_where_they_share_cells_and_elsewhere_at_their_place():
-    side_m, apart_m = 5.0, 20.0
-    east = np.array([[2.5, 502.5], [1002.5, 502.5], [2002.5, 502.5]])
-    parting = np.array([[2.5, 502.5], [1002.5, 502.5], [1502.5, 1002.5], [2002.5, 1002.5]])
-    crossing = np.array([[502.5, 2.5], [502.5, 1002.5]])
-    lines = side_by_side([east, parting, crossing], side_m, apart_m)
-    for line_m, (x_m, y_m) in zip((east, parting, crossing), lines, strict=True):
-        off_m = shapely.distance(shapely.LineString(line_m), shapely.points(x_m, y_m))
-        shares = (x_m < 1000) & (y_m < 600) & (line_m is not crossing)
-        within_m = 0.02 * shapely.LineString(line_m).length  # of where it parts or begins
-        is_far = np.hypot(x_m - 1002.5, y_m - 502.5) > within_m + apart_m
-        assert off_m[~shares & is_far] == pytest.approx(0, abs=1e-6)
-        assert off_m[shares & is_far & (x_m > within_m + apart_m)] == pytest.approx(apart_m / 2)
-    (_, south), (_, north), _ = lines
-    assert np.median(south) < 502.5  # the first one goes to the right
-    assert north[len(north) // 4] > 502.5
+    west, south, east, north = panel.bbox.extents.round().astype(int)
+    shown = np.asarray(canvas.buffer_rgba())[::-1][south:north, west:east, :3]
+    for colour in PLANNER_COLOURS.values():  # one above another would hide four
+        off = np.abs(shown - 255 * np.array(to_rgb(colour))).max(axis=-1)
+        assert (off < 25).sum() > 500
 
 
 @pytest.mark.usefixtures("laid_out")
@@ -356,8 +341,8 @@ def test_cells_that_are_closed_and_no_obstacle_are_hatched_and_the_legend_says_s
         shown = []
         for is_hatched in (False, True):
             panel.collections[0].set_visible(is_hatched)
-            for line in panel.lines:
-                line.set_visible(False)
+            for drawn in (*panel.lines, *panel.collections[1:]):
+                drawn.set_visible(False)
             canvas = FigureCanvasAgg(figure)
             canvas.draw()
             shown.append(np.asarray(canvas.buffer_rgba())[..., :3].astype(int))
@@ -470,9 +455,11 @@ def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
     names = [f"a planner of a long name {number}" for number in range(12)]
     paths = [make_path(maps, name) for name in names]
     (panel,) = panels_of(plotting.plot_paths(maps, paths, names=[*PLANNER_COLOURS, *names[6:]]))
-    lines = lines_of(panel)
-    assert len({line.get_color() for line in lines}) == 12
-    assert {line.get_linewidth() for line in lines} == {LINE_PT}
+    lines = panel.collections[-1]
+    assert len({to_hex(colour) for colour in lines.get_colors()}) == 12
+    widths_pt = lines.get_linewidths()
+    assert (np.diff(widths_pt) < 0).all()
+    assert (widths_pt[0], widths_pt[-1]) == (WIDEST_PT, LINE_PT)
 
 
 @pytest.mark.parametrize(
@@ -551,15 +538,12 @@ def test_no_axes_are_empty_and_no_bar_is_wider_than_its_map(maps, width):
         assert bar.get_window_extent().width == pytest.approx(panel.get_window_extent().width)
 
 
-def test_titles_name_the_time_of_day_and_legends_lanes(maps):
+def test_titles_name_the_time_of_day(maps):
     day = [make_path(maps, "astar-dist"), make_path(maps, "ptp", Status.FEASIBLE)]
     night = make_path(maps, "ptp", time_of_day="night")
     assert plotting.plot_paths(maps, day).get_suptitle().endswith("ground, day")
     assert plotting.plot_overview(maps, night).get_suptitle().endswith("ground, night")
     assert plotting.plot_paths(maps, [day[0], night]).get_suptitle().endswith("ground")
-    for paths, is_said in ((day, True), (day[:1], False)):
-        text = texts_of(plotting.plot_paths(maps, paths))
-        assert ("shared stretches:\nside by side" in text) == is_said
 
 
 @pytest.mark.usefixtures("laid_out")

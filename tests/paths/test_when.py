@@ -200,7 +200,7 @@ def test_a_strip_without_a_stretch_without_a_fix_has_no_panel_for_it(maps, depar
     table = departures.table.assign(no_fix_m=0.0)
     figure = plot_when(replace(departures, table=table), maps)
     assert len(figure.axes) == 1
-    assert "no flight without a fix is known" in " ".join(figure._supxlabel.get_text().split())
+    assert "no fix is known to be lost" in " ".join(figure._supxlabel.get_text().split())
 
 
 @pytest.mark.slow

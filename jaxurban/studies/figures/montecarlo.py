@@ -3,13 +3,11 @@
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.patheffects import Stroke
 from matplotlib.ticker import MaxNLocator
 
-from jaxurban.draw.paths import planner_colours
+from jaxurban.draw.paths import planner_colours, widths_of
 from jaxurban.draw.style import panels, show_shares, step_up, styled
 
-CURVES_APART_PT = 1.5
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 
 
@@ -29,19 +27,13 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     end = np.clip(table.ratio.max(), *RATIO_AXIS)
     left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
     for panel, (altitude_m, rows) in zip(axes, table.groupby("altitude_m"), strict=True):
-        for rank, (planner, colour) in enumerate(colours.items()):
-            # Curves are drawn side by side around their place, so that all are seen where they coincide.
-            apart_pt = ((len(colours) - 1) / 2 - rank) * CURVES_APART_PT
-            step_up(
-                panel,
-                rows.ratio[rows.planner == planner].to_numpy(),
-                end,
-                color=colour,
-                label=planner,
-                path_effects=[Stroke(offset=(-apart_pt, apart_pt))],
-                linewidth=1.4,
-            )
-        panel.set(xlim=(left, end), xlabel="cost / cheapest known", title=f"{altitude_m:g} m")
+        # Earlier curves are wider, so that all are seen where they coincide.
+        widths_pt = widths_of(len(colours))
+        for (planner, colour), width_pt in zip(colours.items(), widths_pt, strict=True):
+            ratios = rows.ratio[rows.planner == planner].to_numpy()
+            step_up(panel, ratios, end, color=colour, label=planner, linewidth=width_pt)
+        title = f"{altitude_m:g} m, pairs: {len(ratios)}"
+        panel.set(xlim=(left, end), xlabel="cost / cheapest known", title=title)
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
     show_shares(figure, axes, "joined pairs solved at that ratio (%)", (-0.04, 1.04))
     return figure

@@ -6,14 +6,13 @@ one.
 
 from collections.abc import Mapping
 from functools import partial
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 import pandas as pd
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from jaxurban.draw.frame import (
@@ -28,11 +27,11 @@ from jaxurban.draw.frame import (
 )
 from jaxurban.draw.metrics import line_colour, obstacle_patches
 from jaxurban.draw.paths import (
-    EDGE_PT,
     CostChoice,
     closed_at,
     cost_layers,
     draw_ends,
+    draw_lines,
 )
 from jaxurban.draw.style import (
     FAINT_INK,
@@ -55,6 +54,7 @@ from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.summary import ALL
 
 DOTTED = (0, (1, 1))
+RUG = 0.06  # height of a breakpoint's tick, as a share of its panel's
 MOST_ROUTES = 10  # along the range of one weight
 GIVEN_STAR: Look = {"color": "#c51b8a", "markersize": 11.0, "markeredgecolor": INK}
 GIVEN_ROUTE: Look = HALO | {  # dark with a white edge, so that it is seen over all colours
@@ -88,7 +88,7 @@ def many_figures(tables: Mapping[str, pd.DataFrame], wrong: float) -> Figures:
 
 @styled
 def plot_breakpoints(route: OneRoute) -> Figure:
-    """Return the cheapest cost along the range of each weight, the others as given, with a dot where the route changes.
+    """Return the cheapest cost along the range of each weight, the others as given; ticks are where the route changes.
 
     A panel per varied weight; a dashed line is the given weight.
     """
@@ -98,20 +98,21 @@ def plot_breakpoints(route: OneRoute) -> Figure:
         column = route.names.index(name)
         low, high = line.corners[:, column]
 
-        # Places along the line, as shares of the way from its low end to its high end: 400 that are even on the
-        # logarithmic axis, and the breakpoints, which alone get a dot.
-        evenly = (np.geomspace(low, high, 400) - low) / (high - low)
-        shares = np.sort(np.append(evenly, line.breakpoints))
+        # The cost at 400 places that are even on the logarithmic axis, and the breakpoints, which are shares of the way
+        # from its low end to its high end, as ticks on the axis.
+        weights = np.geomspace(low, high, 400)
+        shares = (weights - low) / (high - low)
         costs = line.cost_at(np.stack([1 - shares, shares], axis=-1))
-        panel.plot(
-            low + shares * (high - low),
-            costs,
-            "o-",
-            color=line_colour(name),
-            markersize=4,
-            markeredgewidth=0,
-            linewidth=1.1,
-            markevery=np.isin(shares, line.breakpoints),
+        panel.plot(weights, costs, color=line_colour(name), linewidth=1.4)
+        changes = low + np.asarray(line.breakpoints) * (high - low)
+        panel.vlines(
+            changes,
+            0,
+            RUG,
+            transform=panel.get_xaxis_transform(),
+            color=INK,
+            linewidth=0.8,
+            label="breakpoint",
         )
 
         # The given weight, the axes and the title.
@@ -163,21 +164,19 @@ def plot_breakpoint_routes(route: OneRoute) -> Figure:
     heading = joined("Cheapest routes along the range of each weight", day, by=", ")
     facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")
     note = "\n".join([facts, frame_note(maps, settings["time"]), rules_said(settings)])
-    figure, axes = draw_maps(
-        maps.grid,
-        panels_of,
-        heading,
-        note,
-        legend=[
-            *obstacle_patches(maps, BLOCKED_COLOUR, panels_of),
-            Line2D([], [], label="given weights", **GIVEN_ROUTE),
-            Line2D([], [], label="along the border of the maps", color=INK, linestyle=DOTTED),
-            *ENDS,
-        ],
-        colours=colours,
-    )
-
+    legend = obstacle_patches(maps, BLOCKED_COLOUR, panels_of)
+    legend += [Line2D([], [], label="given weights", **GIVEN_ROUTE), *ENDS]
     band = edge_band(maps)
+    at_edge = {}
+    for name, lines_m in route.line_routes.items():
+        at_edge[name] = [
+            is_at_edge(xy_m - maps.grid.bounds_m[:2], maps.grid, band) for xy_m in lines_m
+        ]
+    if any(chain.from_iterable(at_edge.values())):
+        label = "along the border of the maps"
+        legend.append(Line2D([], [], label=label, color=INK, linestyle=DOTTED))
+    figure, axes = draw_maps(maps.grid, panels_of, heading, note, legend=legend, colours=colours)
+
     for panel, name in zip(axes, route.lines, strict=True):
         draw_ends(panel, [path])
 
@@ -186,19 +185,9 @@ def plot_breakpoint_routes(route: OneRoute) -> Figure:
         given_weight = route.weights[route.names.index(name)]
         middle = np.sqrt(table["from"] * table["to"]) / given_weight
         shown = _shown(len(table))
-        widths = np.linspace(3.2, 1.4, len(shown))
-        for number, colour, width in zip(shown, colours(middle)[shown], widths, strict=True):
-            edge = [withStroke(linewidth=width + 2 * EDGE_PT, foreground="white")]
-            xy_m = route.line_routes[name][number]
-            at_edge = is_at_edge(xy_m - maps.grid.bounds_m[:2], maps.grid, band)
-            panel.plot(
-                *xy_m.T,
-                color=colour,
-                linestyle=DOTTED if at_edge else "-",
-                linewidth=width,
-                path_effects=edge,
-                zorder=4,
-            )
+        lines_m = [route.line_routes[name][number] for number in shown]
+        styles = [("-", DOTTED)[at_edge[name][number]] for number in shown]
+        draw_lines(panel, lines_m, colours(middle)[shown], styles)
         panel.plot(*path.xy_m.T, **GIVEN_ROUTE)
     return figure
 
@@ -212,22 +201,27 @@ def _shown(num: int) -> np.ndarray:
 def plot_pareto(route: OneRoute) -> Figure:
     """Return the best trade-offs between two or three features of routes, a point per route (supported Pareto points).
 
-    A panel for each pair of features; a star is the route under the given weights.
+    A panel for each pair of features; a star is the route under the given weights, and its label says what else these
+    count, as a route that serves more may be worse in all that is drawn.
     """
     # The features of each route, and of the route under the given weights.
     names = route.front.objectives
     given = dict(zip(route.names, route.features, strict=True))
     pairs = list(combinations(names, 2))
+    weights = zip(route.names, route.weights, strict=True)
+    others = [name for name, weight in weights if weight > 0 and name not in names]
+    star = "given weights"
+    if others:
+        star += f", which also count {joined_with_and(others)}"
     figure, axes = panels(len(pairs), f"Best trade-offs between {joined_with_and(names)}")
     for panel, (across, up) in zip(axes, pairs, strict=True):
         points = route.front.points
         panel.plot(points[across], points[up], "o", color=INK, markersize=3.5, label="best routes")
-        panel.plot(given[across], given[up], "*", label="given weights", **GIVEN_STAR)
+        panel.plot(given[across], given[up], "*", label=star, **GIVEN_STAR)
         panel.set(xlabel=_feature_label(route, across), ylabel=_feature_label(route, up))
         panel.margins(0.06)
         for axis in (panel.xaxis, panel.yaxis):
             axis.set_major_locator(MaxNLocator(4))
-    letter_all(axes)
     legend_below(figure, axes[0])
     return figure
 
@@ -240,7 +234,7 @@ def _feature_label(route: OneRoute, name: str) -> str:
     unit = "sum of c over steps"
     if settings["cost_model"] == "line":
         unit = f"sum of c per {settings['reference_length_m']:g} m"
-    return f"{name} cost ({unit})"
+    return f"{name} cost\n({unit})"
 
 
 def _parts(summary: pd.DataFrame, cut: str) -> pd.DataFrame:

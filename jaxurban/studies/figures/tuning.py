@@ -18,7 +18,7 @@ from jaxurban.draw.frame import (
     rules_said,
 )
 from jaxurban.draw.metrics import line_colour, obstacle_layer, obstacle_patches
-from jaxurban.draw.paths import BESIDE, draw_lines
+from jaxurban.draw.paths import draw_lines
 from jaxurban.draw.style import Colours, dots, name_rows, panels, show_plain_log, styled
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.studies.demonstrations import Demonstration
@@ -101,20 +101,19 @@ def plot_fitted_routes(
             ("fitted weights", PLANNED_COLOUR),
             *obstacle_patches(maps, BLOCKED_COLOUR, panels_of),
             *ENDS,
-            BESIDE,
         ],
         colours=colours,
     )
 
-    # A demonstration and the route between its ends, side by side where both coincide. Their points are in metres from
-    # the southwest corner of the map.
+    # A demonstration and, thinner, the route between its ends. Their points are in metres from the southwest corner of
+    # the map.
     southwest_m = grid.bounds_m[:2]
     for demonstration, route in zip(demonstrations, planned, strict=True):
         query = demonstration.query
         if query.cost_map is not cost_map:
             continue
         lines_m = demonstration.points_m + southwest_m, route.points_m + southwest_m
-        draw_lines(panel, lines_m, grid.resolution_m, (DEMONSTRATION_COLOUR, PLANNED_COLOUR))
+        draw_lines(panel, lines_m, (DEMONSTRATION_COLOUR, PLANNED_COLOUR))
         ends_m = grid.xy_of_cell(*query.start), grid.xy_of_cell(*query.goal)
         mark_ends(panel, *ends_m, size=0.68)
     return figure
