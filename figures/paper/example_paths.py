@@ -7,6 +7,7 @@ cost around the paths, day at 20 and 60 m, night above.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from jaxurban.draw.metrics import obstacle_patches
 from jaxurban.draw.paths import (
     COST_COLOURS,
     cost_layers,
+    named_paths,
     outcome_line,
     path_entries,
     planner_colours,
@@ -163,9 +165,12 @@ def draw(
     layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
     is_closed = ~shared.is_free & (layers[1].values < 0) & maps.ds["has_data"].values
     closed = flat_layer(is_closed, BLOCKED_COLOUR)
+    named = [
+        named_paths(paths, None) for paths in results
+    ]  # two exact searches of one cost are one
     panels = []
-    for case, part, paths in zip(cases, parts, results, strict=True):
-        outcomes = [outcome_line(path, path.search.planner) for path in paths]
+    for case, part, paths in zip(cases, parts, named, strict=True):
+        outcomes = [outcome_line(*each) for each in paths]
         cut = [crop(layer, maps.grid, part) for layer in layers]
         foot = "\n".join(["cost, length:", *outcomes])
         hatched = crop(closed, maps.grid, part).values == 0
@@ -173,14 +178,13 @@ def draw(
     heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
     heading = joined(heading, shared.time_of_day, by=", ")
     note = joined(f"{PATH_M:g} m cells", maps.attribution)
-    colours = planner_colours(PAPER_PLANNERS)
     legend = obstacle_patches(maps, BLOCKED_COLOUR, panels)
     if any(not _holds(maps.grid, part) for part in parts):
         legend = [entry for entry in legend if entry != NO_DATA_PATCH]
         legend.insert(1, ("beyond the\nregion, or\nno data", NO_DATA_COLOUR))
-    found = [path.search.planner for paths in results for path in paths if path.status.has_path]
-    drawn = {planner: colour for planner, colour in colours.items() if planner in found}
-    entries = path_entries(drawn, *results)
+    drawn = [[each for each in paths if each.path.status.has_path] for paths in named]
+    colours = planner_colours(each.name for each in chain(*drawn))
+    entries = path_entries(colours, *results)
     look = {"legend": [*legend, *entries], "colours": COST_COLOURS, "has_ticks": False}
     figure, axes = draw_maps(
         parts[0],
@@ -189,8 +193,8 @@ def draw(
         f"{note}\npreset paper  ·  {rules_said(shared.record)}",
         **look,
     )
-    for panel, paths in zip(axes, results, strict=True):
-        add_paths(panel, paths, [colours[path.search.planner] for path in paths])
+    for panel, paths in zip(axes, drawn, strict=True):
+        add_paths(panel, [each.path for each in paths], [colours[each.name] for each in paths])
     return figure
 
 

@@ -89,7 +89,7 @@ class CostChoice(NamedTuple):
     time_of_day: str | None
 
 
-class _NamedPath(NamedTuple):
+class NamedPath(NamedTuple):
     """A path and what pictures call it."""
 
     path: PlannedPath
@@ -153,7 +153,7 @@ def plot_paths(
     """
     # A panel for each place: the altitude, time and time of day of a map that paths were planned on.
     maps = as_maps(maps)
-    named = _named(paths, names)
+    named = named_paths(paths, names)
     planned = [each.path for each in named]
     if altitude_m is None:
         altitude_m = sorted({path.altitude_m for path in planned})
@@ -195,7 +195,7 @@ def plot_paths(
     return figure
 
 
-def _named(paths: Paths, names: Sequence[str] | None) -> list[_NamedPath]:
+def named_paths(paths: Paths, names: Sequence[str] | None) -> list[NamedPath]:
     """Return paths with what they are called.
 
     Args:
@@ -211,16 +211,16 @@ def _named(paths: Paths, names: Sequence[str] | None) -> list[_NamedPath]:
             f"names must be a list of {len(planned)}, one for each path, got {names!r}"
         )
     if names is None:
-        return _by_proof([_NamedPath(path, path.search.planner) for path in planned])
+        return _by_proof([NamedPath(path, path.search.planner) for path in planned])
 
     # A dollar sign begins a formula.
     texts = [name.replace("$", r"\$") for name in names]
-    return [_NamedPath(path, text) for path, text in zip(planned, texts, strict=True)]
+    return [NamedPath(path, text) for path, text in zip(planned, texts, strict=True)]
 
 
-def _by_proof(named: Sequence[_NamedPath]) -> list[_NamedPath]:
+def _by_proof(named: Sequence[NamedPath]) -> list[NamedPath]:
     """Return paths; those of one query that are all proven cheapest on one graph become one, ``astar``."""
-    together: dict[Any, list[_NamedPath]] = {}
+    together: dict[Any, list[NamedPath]] = {}
     for number, each in enumerate(named):
         path = each.path
         key: Any = number
@@ -230,13 +230,13 @@ def _by_proof(named: Sequence[_NamedPath]) -> list[_NamedPath]:
             key = str((each.place, path.search.graph, ends, rules, f"{path.cost:.9g}"))
         together.setdefault(key, []).append(each)
     return [
-        _NamedPath(same[0].path, same[0].name if len(same) == 1 else DEFAULTS.planner)
+        NamedPath(same[0].path, same[0].name if len(same) == 1 else DEFAULTS.planner)
         for same in together.values()
     ]
 
 
 def _cost_panel(
-    maps: MetricMaps, place: CostChoice, named: Sequence[_NamedPath], has_time: bool
+    maps: MetricMaps, place: CostChoice, named: Sequence[NamedPath], has_time: bool
 ) -> MapPanel:
     """Return a panel of the normalised cost, below which the outcome of each path stands.
 
@@ -275,7 +275,7 @@ def _places_at(
       time_of_day: of the one map; None: the first of the maps.
     """
     at_altitude = [path for path in planned if path.altitude_m == altitude_m]
-    places = dict.fromkeys(_NamedPath(path).place for path in at_altitude)
+    places = dict.fromkeys(NamedPath(path).place for path in at_altitude)
     day = time_of_day or next(iter(maps.times_of_day), None)
     return list(places) or [CostChoice(altitude_m, time or maps.default_time, day)]
 
@@ -407,7 +407,7 @@ def plot_overview(
     """
     # The first place at the altitude that paths were planned on, and the paths with a route there.
     maps = as_maps(maps)
-    named = _named(paths, names)
+    named = named_paths(paths, names)
     planned = [each.path for each in named]
     z = altitude_m
     if z is None:
