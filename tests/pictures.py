@@ -21,7 +21,7 @@ from matplotlib.transforms import Bbox
 
 from jaxurban.draw.paths import EDGED
 
-LEAST_PT, LEAST_CONTRAST = 6.0, 1.5  # of letters as printed; by WCAG 2.2, of relative luminances
+LEAST_PT, LEAST_CONTRAST = 7.0, 1.5  # of letters as printed; by WCAG 2.2, of relative luminances
 MM_PER_IN = 25.4
 # Of a text's box: lines are boxed from the top of the tallest letter to the foot of the deepest, with or without them.
 SIDE_SHARE, FOOT_SHARE = 0.02, 0.1

@@ -162,14 +162,17 @@ def plot_paths(
         places += _places_at(maps, z, planned, time, time_of_day)
     named_at = {place: [each for each in named if each.place == place] for place in places}
     times = {place.time for place in places}
+    days = {place.time_of_day for place in places}
     has_times = len(times) > 1
-    panels = [_cost_panel(maps, place, shown, has_times) for place, shown in named_at.items()]
+    has_days = len(days) > 1
+    panels = [
+        _cost_panel(maps, place, shown, has_times, has_days) for place, shown in named_at.items()
+    ]
 
     # The heading, which names the time of day if all panels have one.
     drawn = list(chain.from_iterable(named_at.values()))
     what = "Cost and paths" if drawn else "Cost"
-    days = {place.time_of_day for place in places}
-    day = days.pop() if len(days) == 1 else ""
+    day = "" if has_days else days.pop()
     heading = joined(f"{what}, by altitude above ground", day, by=", ")
 
     # The note: sky and maps, and the rules of the routes.
@@ -236,7 +239,11 @@ def _by_proof(named: Sequence[NamedPath]) -> list[NamedPath]:
 
 
 def _cost_panel(
-    maps: MetricMaps, place: CostChoice, named: Sequence[NamedPath], has_time: bool
+    maps: MetricMaps,
+    place: CostChoice,
+    named: Sequence[NamedPath],
+    has_time: bool,
+    has_day: bool,
 ) -> MapPanel:
     """Return a panel of the normalised cost, below which the outcome of each path stands.
 
@@ -245,8 +252,10 @@ def _cost_panel(
       place: which map of the cost.
       named: the paths that were planned on it.
       has_time: whether the title names the time, if the map has one.
+      has_day: whether it names the time of day.
     """
-    title = joined(f"{place.altitude_m:g} m", place.time_of_day, by=" · ")
+    day = place.time_of_day if has_day else ""
+    title = joined(f"{place.altitude_m:g} m", day, by=" · ")
     if place.time and has_time:
         title = joined(title, time_said(place.time), by=" · ")
     # Costs under different weights cannot be compared.

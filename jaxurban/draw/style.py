@@ -25,7 +25,6 @@ from matplotlib.ticker import (
     LogLocator,
     MaxNLocator,
     NullFormatter,
-    PercentFormatter,
 )
 from matplotlib.transforms import Bbox
 
@@ -270,24 +269,6 @@ def legend_below(figure: Figure, panel: Axes) -> None:
     handles, names = panel.get_legend_handles_labels()
     num_cols = min(len(names), legend_columns(names, figure.get_figwidth()))
     figure.legend(handles, names, loc="outside lower center", ncols=num_cols)
-
-
-def show_shares(
-    figure: Figure, axes: Sequence[Axes], label: str, ends: tuple[float, float]
-) -> None:
-    """Give panels of one vertical scale its label, percent and letters, and the figure a legend.
-
-    Args:
-      figure: that holds the panels.
-      axes: the panels, whose values are shares from 0 to 1.
-      label: of the vertical axis.
-      ends: of the scale; where it begins below 0, curves at 0 are seen whole.
-    """
-    letter_all(axes, label)
-    axes[0].set_ylim(ends)
-    for panel in axes:
-        panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
-    legend_below(figure, axes[0])
 
 
 def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray, **look: Any) -> None:

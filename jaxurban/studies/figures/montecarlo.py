@@ -3,10 +3,10 @@
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from jaxurban.draw.paths import planner_colours, widths_of
-from jaxurban.draw.style import panels, show_shares, step_up, styled
+from jaxurban.draw.style import legend_below, letter_all, panels, step_up, styled
 
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 
@@ -35,5 +35,8 @@ def plot_costs(table: pd.DataFrame) -> Figure:
         title = f"{altitude_m:g} m, pairs: {len(ratios)}"
         panel.set(xlim=(left, end), xlabel="cost / cheapest known", title=title)
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
-    show_shares(figure, axes, "joined pairs solved at that ratio (%)", (-0.04, 1.04))
+        panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
+    letter_all(axes, "joined pairs solved at that ratio (%)")
+    axes[0].set_ylim(-0.04, 1.04)  # curves at 0 are seen whole
+    legend_below(figure, axes[0])
     return figure

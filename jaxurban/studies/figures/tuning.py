@@ -24,7 +24,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
-DEMONSTRATION_COLOUR, PLANNED_COLOUR = "#b3400a", "#0b3c8c"
+DEMONSTRATION_COLOUR, PLANNED_COLOUR = "#f08a24", "#0b3c8c"
 PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes stand out
 
 

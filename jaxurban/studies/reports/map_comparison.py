@@ -41,8 +41,8 @@ def plot_difference(result: MapComparison, layer: str) -> Figure:
 
     # One scale for all panels, by the sizes of the changes.
     sizes = np.abs(change.values)
-    unit = rows.unit.iloc[0].replace("1", "")  # of a share there is none
-    label = f"{joined(layer, unit, by=' in ')}, B - A (red: B is higher)"
+    unit = f" [{rows.unit.iloc[0]}]".replace(" [1]", "")  # a share has none
+    label = f"{layer}{unit}, B - A (red: B is higher)"
     colours = difference_colours(sizes[sizes > 0], label)
 
     # A panel for each map: the differences, cut off at the ends of the scale, and blocked cells over them.
