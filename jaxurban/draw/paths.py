@@ -73,8 +73,9 @@ PLANNER_COLOURS = {
 OTHER_COLOURS = ("#00857a", "#7b3fb5", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff", "#404040")
 COST_COLOURS = Colours("gray", Normalize(0, 1), "normalised cost\n(0: best free cell, 1: worst)")
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
+STEP_PT = 1.6  # by which a path is wider than the next one, or less
 # Widths of the last path of a panel, which lies over the others, and of the first of many.
-LINE_PT, WIDEST_PT = 1.4, 4.4
+LINE_PT, WIDEST_PT = 1.4, 4.0
 EDGED = "edged"  # gid of lines that have white edges
 EDGE_PT = 0.4  # of their white edge, which parts them from the map
 
@@ -345,8 +346,8 @@ def draw_lines(
 
 
 def widths_of(num: int) -> np.ndarray:
-    """Return the widths of lines in points, each a point less than the one before it, or less of more than four."""
-    return np.linspace(min(WIDEST_PT, LINE_PT + num - 1), LINE_PT, num)
+    """Return the widths of lines in points, each less than the one before it."""
+    return np.linspace(min(WIDEST_PT, LINE_PT + STEP_PT * (num - 1)), LINE_PT, num)
 
 
 def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -> list[Line2D]:
