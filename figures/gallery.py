@@ -11,7 +11,7 @@ from jaxurban.draw.write import DPI
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "gallery.md"
-SCREEN_DPI, QUALITY = 140, 80  # dots an inch of a page's width; of WebP
+SCREEN_DPI, QUALITY = 110, 60  # dots an inch of a page's width; of WebP
 
 
 def shown() -> list[str]:

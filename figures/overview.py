@@ -3,11 +3,11 @@
 from pathlib import Path
 
 import jaxurban as ju
-from figures.gallery import SCREEN_DPI
 from jaxurban.draw.write import write_picture
 from jaxurban.plot import plot_overview, save_profile
 
 DOCS = Path(__file__).parents[1] / "docs"
+SCREEN_DPI = 140  # dots an inch of a page's width
 ALTITUDE_M, RESOLUTION_M = 40.0, 5.0
 START, GOAL = (-74.0172, 40.7130), (-73.9815, 40.7265)  # Battery Park City, East Village
 

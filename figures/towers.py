@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 import jaxurban as ju
-from figures.gallery import SCREEN_DPI
 from jaxurban.draw.write import write_picture
 from jaxurban.plot import plot_metric
 
 DOCS = Path(__file__).parents[1] / "docs"
+SCREEN_DPI = 140  # dots an inch of a page's width
 ENDS = (-74.0120, 40.7015), (-74.0110, 40.7170)  # longitude, latitude: the Battery and Tribeca
 QUERY = {"altitude_m": 40.0, "snap": True}
 MARGIN_M = 200.0  # of the city around the routes, twice above them

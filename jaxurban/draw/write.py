@@ -158,10 +158,12 @@ def write_picture(figure: Figure, file: str | Path, suffix: str = "", dpi: float
     # Then by means, as greys would else have tints; on a part of the pixels, which takes no time.
     part = image.resize([side // SAMPLED for side in image.size], Image.Resampling.NEAREST)
     palette = part.quantize(NUM_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1)
-    colours = np.array(palette.getpalette()).reshape(-1, 3)
-    colours[colours.sum(axis=1).argmax()] = 255  # the page is white
-    palette.putpalette(colours.ravel().tolist())
     few_colours = image.quantize(palette=palette, dither=Image.Dither.NONE)
+
+    # The page, whose colour is that of its corner, stays white.
+    colours = np.array(few_colours.getpalette()).reshape(-1, 3)
+    colours[np.asarray(few_colours)[0, 0]] = 255
+    few_colours.putpalette(colours.ravel().tolist())
     few_colours.save(file, format="png", optimize=True, dpi=(dpi, dpi))
 
 
