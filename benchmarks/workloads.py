@@ -345,7 +345,7 @@ def studies(folder: Path) -> tuple[Took, Facts]:
             1,
         )
         queries(ju.open_maps(out), 3, 6).assign(altitude_m=ALTITUDE_M).to_csv(table, index=False)
-        asked = ("--routes", table, "--study", "num_samples=16", "--workers", 1)
+        asked = ("--routes", table, "--workers", 1)
         took |= jaxurban(
             "sensitivity", "sensitivity", out, *asked, "-o", Path(scratch, "sensitivity")
         )

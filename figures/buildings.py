@@ -2,8 +2,12 @@
 
 from pathlib import Path
 
+import geopandas as gpd
 import jax
 import numpy as np
+import pandas as pd
+from matplotlib.colors import SymLogNorm
+from matplotlib.figure import Figure
 
 import jaxurban as ju
 from jaxurban.draw.write import write_picture
@@ -11,12 +15,49 @@ from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.differentiable import SoftParams, soften
 from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask
-from jaxurban.studies.reports.buildings import plot_building_costs
 from jaxurban.studies.weights.buildings import building_costs
 from jaxurban.world.grid import Grid
 
 FILE = Path(__file__).with_suffix(".png")
 ALTITUDE_M, RESOLUTION_M = 25.0, 5.0
+AROUND_M = 250.0  # the route
+
+
+def plot_costs(city: ju.City, xy_m: np.ndarray, table: pd.DataFrame) -> Figure:
+    """Return the outlines near a route, coloured by what one more metre of each costs it, and the route."""
+    assert city.buildings is not None
+    polygons = city.buildings.polygons
+    most = 10.0 ** np.ceil(np.log10(table["per_metre"].abs().max()))
+    figure = Figure(figsize=(5.5, 6.5), layout="constrained")
+    panel = figure.subplots()
+    gpd.GeoSeries(polygons).plot(ax=panel, color="white", edgecolor="#999999", linewidth=0.25)
+    gpd.GeoDataFrame(table, geometry=polygons[table["building"]]).plot(
+        "per_metre",
+        ax=panel,
+        cmap="RdBu_r",
+        norm=SymLogNorm(most / 1000, vmin=-most, vmax=most),
+        edgecolor="#555555",
+        linewidth=0.25,
+        legend=True,
+        legend_kwds={
+            "label": f"cost of one more metre of a building to the route, {ALTITUDE_M:g} m up",
+            "orientation": "horizontal",
+            "shrink": 0.8,
+            "ticks": [-most, -most / 100, 0, most / 100, most],
+        },
+    )
+    panel.plot(*xy_m.T, color="#111111", linewidth=1.5)
+    panel.plot(*xy_m[[0, -1]].T, "o", color="#111111")
+    (west, south), (east, north) = xy_m.min(axis=0) - AROUND_M, xy_m.max(axis=0) + AROUND_M
+    panel.set(
+        xlim=(west, east),
+        ylim=(south, north),
+        xlabel="east (m)",
+        ylabel="north (m)",
+    )
+    panel.ticklabel_format(useOffset=False, style="plain")
+    panel.locator_params(nbins=4)
+    return figure
 
 
 def main() -> None:
@@ -34,7 +75,7 @@ def main() -> None:
     with jax.enable_x64(True):
         soft = soften(task, dtype=np.float64)
         table = building_costs(city, soft, planned, SoftParams(ALTITUDE_M))
-    write_picture(plot_building_costs(city, planned, table, region), FILE)
+    write_picture(plot_costs(city, planned.xy_m, table), FILE)
 
 
 if __name__ == "__main__":

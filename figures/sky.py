@@ -13,9 +13,10 @@ from benchmarks.receiver.pictures import draw_cities, plot_displacement
 from jaxurban.draw.style import INK, chart, dress, letter_all, styled
 from jaxurban.draw.write import write_picture
 from jaxurban.receivers.figures import draw_horizon, sky_places
-from jaxurban.receivers.report import CLASSES, satellite_figures
+from jaxurban.receivers.report import HIDDEN, SEEN, satellite_figures
 
-NAMES = ("sky", "sky_track", "sky_margin", "sky_displacement", "sky_skies")
+NAMES = ("sky", "sky_track", "sky_margin", "sky_displacement")
+CLASSES = ((False, "hidden by a building", "^", HIDDEN), (True, "in view", "o", SEEN))
 DOCS = Path(__file__).parents[1] / "docs"
 WIDTH_MM = 120.0  # that of a column of README, where letters are as large as its text
 EDGES_DBHZ = (25, 30, 35, 40, 45)  # between the classes of received satellites

@@ -16,9 +16,7 @@ from jaxurban.draw.when import plot_when as plot_when
 from jaxurban.flights.figures import plot_return as plot_return
 from jaxurban.receivers.figures import plot_sky as plot_sky
 from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes as plot_breakpoint_routes
-from jaxurban.studies.figures.sensitivity import plot_nearest as plot_nearest
 from jaxurban.studies.figures.sensitivity import plot_regret as plot_regret
 from jaxurban.studies.figures.tuning import plot_fitted_routes as plot_fitted_routes
 from jaxurban.studies.figures.tuning import plot_weights as plot_weights
-from jaxurban.studies.reports.buildings import plot_building_costs as plot_building_costs
 from jaxurban.studies.reports.map_comparison import plot_difference as plot_difference

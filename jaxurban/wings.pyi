@@ -9,7 +9,6 @@ from jaxurban.cities.city import size_m as size_m
 from jaxurban.cities.raster import read_bands as read_bands
 from jaxurban.cities.synthetic import demo_city_for_bounds as demo_city_for_bounds
 from jaxurban.cities.synthetic import demo_cover_for_bounds as demo_cover_for_bounds
-from jaxurban.cities.vector import open_frame as open_frame
 from jaxurban.cities.vector import open_layers as open_layers
 from jaxurban.flights.airspace import read_zones as read_zones
 from jaxurban.flights.export.write import FORMATS as FORMATS

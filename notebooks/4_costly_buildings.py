@@ -24,13 +24,15 @@
 # %matplotlib inline
 from dataclasses import replace
 
+import geopandas as gpd
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.colors import SymLogNorm
 
 import jaxurban as ju
-from jaxurban.plot import plot_building_costs, plot_paths
+from jaxurban.plot import plot_paths
 
 city = ju.demo_city(width_m=1_600, height_m=1_600)
 buildings = city.buildings
@@ -59,8 +61,23 @@ columns = ["building", "per_metre", "gps", "lidar", "risk", "height_m", "distanc
 print(f"{len(table):,} buildings have any effect. The costliest, in cost per metre of height:")
 table[columns].head(8).round(3)
 
+# %% [markdown]
+# Red costs, blue helps, on a logarithmic scale on both sides of zero.
+
 # %%
-plot_building_costs(city, route, table, maps.grid)
+outlines = gpd.GeoDataFrame(table, geometry=buildings.polygons[table["building"]])
+most = table["per_metre"].abs().max()
+panel = outlines.plot(
+    "per_metre",
+    cmap="RdBu_r",
+    norm=SymLogNorm(most / 1000, vmin=-most, vmax=most),
+    legend=True,
+    legend_kwds={"label": "cost per metre of height (1/m)"},
+    figsize=(7.5, 6.0),
+)
+panel.plot(*route.xy_m.T, color="black")
+panel.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
+plt.show()
 
 # %% [markdown]
 # ## Which of the buildings matter

@@ -25,12 +25,7 @@ import tempfile
 from pathlib import Path
 
 import jaxurban as ju
-from jaxurban.plot import plot_paths
-from jaxurban.studies.figures.sensitivity import (
-    plot_breakpoint_routes,
-    plot_breakpoints,
-    plot_pareto,
-)
+from jaxurban.plot import plot_breakpoint_routes, plot_paths
 
 folder = Path(tempfile.mkdtemp())
 city = ju.sample_city("lower-manhattan")
@@ -59,10 +54,7 @@ found.tables["weights"][["weight_name", "elasticity", "below", "above", "regret"
 # %% [markdown]
 # ## One weight at a time
 #
-# Along each weight the cheapest cost bends at every breakpoint.
-
-# %%
-plot_breakpoints(route)
+# Each route that is the cheapest somewhere along the range of a weight.
 
 # %%
 plot_breakpoint_routes(route)
@@ -81,24 +73,6 @@ found.tables["ways"].round(3)
 
 # %%
 route.breakpoints("lidar").drop(columns="weight_name").round(3)
-
-# %% [markdown]
-# ## All weights at once
-#
-# Sobol indices: the share of the variation in what the route is like that a weight explains alone (first-order), and
-# with all its interactions (total). `first_ci` and `total_ci` are the half-widths of 95 % confidence intervals, which
-# more samples (`num_samples`) narrow.
-
-# %%
-found.tables["sobol"].drop(columns=["city", "instance", "altitude_m"]).round(2)
-
-# %% [markdown]
-# ## What can be had for what
-#
-# No route on this front can be bettered in one objective without giving up some of another.
-
-# %%
-plot_pareto(route)
 
 # %% [markdown]
 # ## Try it yourself

@@ -108,7 +108,7 @@ plot_paths(maps, list(routes.values()), names=list(routes))
 # to ten times 3:
 
 # %%
-settings = ju.studies.SensitivitySettings(vary=("complaints", "gusts"), num_samples=16)
+settings = ju.studies.SensitivitySettings(vary=("complaints", "gusts"))
 found = ju.studies.sensitivity(
     maps,
     Path(tempfile.mkdtemp()),

@@ -29,7 +29,7 @@ from pathlib import Path
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.plot import plot_nearest, plot_regret
+from jaxurban.plot import plot_regret
 
 maps = {
     name: ju.build_maps(
@@ -44,14 +44,13 @@ pd.set_option("display.max_colwidth", None, "display.max_rows", 100)
 # ## The study
 #
 # Ten pairs of places in each city, each flown at both altitudes. Rows are kept in the folder as they come: interrupt
-# it, and the same call goes on. More routes (`30`) and samples (`num_samples=64`) narrow every interval.
+# it, and the same call goes on. More routes (`30`) narrow every interval.
 
 # %%
 found = ju.studies.sensitivity(
     maps,
     folder / "study",
     10,
-    settings=ju.studies.SensitivitySettings(num_samples=4),
     progress=False,
 )
 found.decided
@@ -86,17 +85,17 @@ summary[summary.cut == "city"].pivot(index="weight_name", columns="value", value
 # By which factor a weight may change before half of the cheapest routes become other ones.
 
 # %%
-plot_nearest(summary, found.settings.wrong)
+summary[summary.cut == "altitude_m"].pivot(
+    index="value", columns="weight_name", values="nearest"
+).round(2)
 
 # %% [markdown]
 # ## Where a weight matters
 #
-# The regret by what lies below start and goal. Parts with fewer than ten routes are merged.
+# The mean regret by what lies below the start.
 
 # %%
-summary[summary.cut == "stratum"].pivot(
-    index="value", columns="weight_name", values="regret"
-).round(4)
+found.tables["weights"].pivot_table("regret", "start_stratum", "weight_name").round(4)
 
 # %% [markdown]
 # Every number lies in `folder / "study"` as CSV and Parquet, with a report. It can be deleted:

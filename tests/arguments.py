@@ -280,13 +280,13 @@ def of_study(**given: Any) -> Any:
 
 def weights_study(**given: Any) -> Any:
     usual: dict[str, Any] = {"progress": False, "routes": 2, "altitudes_m": [60.0]}
-    quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=0)
+    quick = ju.studies.SensitivitySettings(vary=("gps",))
     sources = given.pop("sources", {"town": maps()})
     return ju.studies.sensitivity(sources, a_file("weights"), **usual | {"settings": quick} | given)
 
 
 def of_weights_study(**given: Any) -> Any:
-    usual: dict[str, Any] = {"vary": ("gps",), "num_samples": 2, "max_plans": 9}
+    usual: dict[str, Any] = {"vary": ("gps",)}
     result = weights_study(
         routes=[(START, GOAL)],
         altitudes_m=[20.0],

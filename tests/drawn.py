@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 import jaxurban as ju
 from jaxurban.draw.style import Width
 from jaxurban.knowledge import Guess, GuessKind
-from jaxurban.studies.weights.breakpoints import Partition
+from jaxurban.studies.weights.breakpoints import WeightLine
 from jaxurban.typing import PlannedPath
 from tests.draw.test_figures import at_epochs, make_maps, make_path, make_paths
 from tests.draw.test_legible import agreement, crowded
@@ -188,17 +188,6 @@ def _city(plot, case: Case) -> Figure:
     return plot(_boxes(case))
 
 
-def _building_costs(plot, case: Case) -> Figure:
-    maps = maps_for(case.is_hard)
-    rng = np.random.default_rng(3)
-    costs = rng.normal(size=60) * 10.0 ** rng.integers(-4, 2, 60)
-    table = pd.DataFrame({"building": range(60), "per_metre": costs})
-    table.attrs["softness_m"] = 2.0
-    path = make_path(maps, "astar-plus")
-    path.settings["weights"] = dict.fromkeys(case.pick(METRICS, LAYERS), 1.0)
-    return plot(_boxes(case), path, table, maps.grid)
-
-
 def _costs(plot, case: Case) -> Figure:
     planners = case.pick(PLANNERS[:2], (*PLANNERS, "theta-star refined", "OMPL BIT*"))
     rng = np.random.default_rng(1)
@@ -229,11 +218,9 @@ def _weighed(is_hard: bool) -> Any:
         corners = np.ones((2, len(names)))
         corners[:, names.index(name)] = 0.1, 10.0
         shares = (cuts - 0.1) / 9.9
-        cells = tuple(np.array([[1 - a, a], [1 - b, b]]) for a, b in pairwise(shares))
+        cells = np.array([[[1 - a, a], [1 - b, b]] for a, b in pairwise(shares)])
         sums = rng.uniform(1, 2, (num, len(names))) * 1e4
-        lines[name] = Partition(corners, sums, sums, cells, True, names)
-    traded = ("distance", *varied[:2]) if is_hard else ("distance", "gps")
-    points = pd.DataFrame({name: np.sort(rng.uniform(1e3, 3e4, 9)) for name in traded})
+        lines[name] = WeightLine(corners, sums, sums, cells)
     return SimpleNamespace(
         path=replace(route, maps=maps),
         names=names,
@@ -242,7 +229,6 @@ def _weighed(is_hard: bool) -> Any:
         features=np.full(len(names), 1.5e4),
         lines=lines,
         line_routes=dict.fromkeys(varied, routes),
-        front=SimpleNamespace(objectives=traded, points=points),
         breakpoints=lambda _: pd.DataFrame({"from": cuts[:-1], "to": cuts[1:]}),
     )
 
@@ -316,7 +302,6 @@ def _all_maps(plot, case: Case) -> Figure:
 
 
 PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
-    "plot_building_costs": _building_costs,
     "plot_city": _city,
     "plot_flown_heights": _mission,
     "plot_mission": _mission,
@@ -334,12 +319,8 @@ PICTURES: dict[str, Callable[[Callable[..., Figure], Case], Figure]] = {
     "plot_paths": _paths,
     "plot_profile": _profile,
     "plot_margin": _agreement,
-    "plot_skies": _agreement,
     "plot_track": _agreement,
     "plot_breakpoint_routes": _of_weights,
-    "plot_breakpoints": _of_weights,
-    "plot_pareto": _of_weights,
-    "plot_nearest": _of_summary,
     "plot_regret": _of_summary,
     "plot_sky": _over_place,
     "plot_fitted_routes": _imitated,

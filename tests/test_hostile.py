@@ -205,7 +205,7 @@ TUNE = (
     "--pilot",
     "gps=1,distance=1",
 )
-SENSITIVITY = ("sensitivity", "../made", "-o", "out", *PLAN[2:], "--study", "num_samples=2")
+SENSITIVITY = ("sensitivity", "../made", "-o", "out", *PLAN[2:])
 # Commands, their options, and what is wrong for all of these.
 OPTIONS: tuple[tuple[tuple, str, tuple[str, ...]], ...] = (
     (
@@ -215,7 +215,7 @@ OPTIONS: tuple[tuple[tuple, str, tuple[str, ...]], ...] = (
     ),
     (PLAN, "--resolution --start --goal --planner=seed --rules=clearance_m", NUMBERS),
     (("compare", "../made", "../made", "-o", "out"), "--routes --resolution", NUMBERS),
-    (SENSITIVITY, "--range --study=num_samples --study=wrong", NUMBERS),
+    (SENSITIVITY, "--range --study=num_heights --study=wrong", NUMBERS),
     (TUNE, "--fit=hold_out --fit=bootstrap --fit=budget_s --altitude --sample", NUMBERS),
     (TO_MAPS, "--memory --workers", NUMBERS),
     (

@@ -73,7 +73,7 @@ def study(folder: Path) -> None:
 
 
 def routes(folder: Path) -> None:
-    how = ju.studies.SensitivitySettings(num_samples=2, vary=("gps", "risk"))
+    how = ju.studies.SensitivitySettings(vary=("gps", "risk"))
     ju.studies.sensitivity("made", folder, 1, settings=how, progress=False)
 
 

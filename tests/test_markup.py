@@ -160,7 +160,7 @@ def test_no_text_of_maps_is_markup_in_a_report(maps, tmp_path):
         left_out={HOSTILE: HOSTILE},
         settings={HOSTILE: (HOSTILE, HOSTILE)},
     )
-    settings = ju.studies.SensitivitySettings(vary=("gps",), num_samples=2, max_plans=10)
+    settings = ju.studies.SensitivitySettings(vary=("gps",))
     where = tmp_path / "sensitivity", [(start, goal)]
     changed = ju.studies.sensitivity(
         maps, *where, altitudes_m=[20.0], settings=settings, progress=False

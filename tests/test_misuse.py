@@ -147,7 +147,7 @@ MADE_ONCE: dict[str, Callable[[], Any]] = {
     "study": lambda: ju.studies.sample_instances(
         MAPS, 4, altitudes_m=[20.0], weights=[ju.Weights()]
     ),
-    "quick": lambda: ju.studies.SensitivitySettings(vary=("gps",), num_samples=2, max_plans=9),
+    "quick": lambda: ju.studies.SensitivitySettings(vary=("gps",)),
     "OneRoute": lambda: (
         ju.studies.sensitivity(
             MAPS,
@@ -218,10 +218,10 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ((1.0, 2.0, 3.0, 4.0, 5.0), "scale field_of_view_deg bounds"),
     ({}, "cities sources"),
     ([], "queries demonstrations paths targets times"),
-    (-1, "seed height_seed height_samples num_heights bootstrap num_samples routes instances"),
+    (-1, "seed height_seed height_samples num_heights bootstrap routes instances"),
     (
         0,
-        "max_rounds max_plans num num_segments num_threads workers budget_iterations oversample num_rows num_cols",
+        "max_rounds num num_segments num_threads workers budget_iterations oversample num_rows num_cols",
     ),
     (0, "beams azimuths step_s num_displaced"),
     (-1.0, "HeightStd.height HeightStd.levels HeightStd.default HeightStd.raster"),
@@ -272,7 +272,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
         "Population.blocks "
         "City.from_files.vegetation Vegetation.source",
     ),
-    (RIGHT, "Study.land_cover FitSettings.state_file"),
+    (RIGHT, "Study.land_cover"),
 )
 WRONG = {name: value for value, names in WRONG_VALUES for name in names.split()}
 WRONG_BY_TYPE = {"float": 1e300, "Literal": "none such"}  # of all other parameters

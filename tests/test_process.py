@@ -65,7 +65,6 @@ STATE = """
 import gc, json, logging, os, sys
 import dask, jax, matplotlib, numba, numpy, pandas, pyproj, rasterio, xarray, zarr
 import distributed, geopandas, optax, pyogrio, pydantic, requests, scipy.spatial, shapely, skyfield.api, tqdm
-import SALib.sample.sobol
 from rasterio.env import get_gdal_config
 
 def state():

@@ -402,7 +402,6 @@ CONDA_NAMES = {
     "geopandas": "geopandas-base",
     "matplotlib": "matplotlib-base",
     "osmium": "pyosmium",
-    "SALib": "salib",
 }
 
 

@@ -19,16 +19,12 @@ from jaxurban.draw.style import (
     dress,
     label_apart,
     legend_above,
-    legend_below,
-    letter_all,
     styled,
 )
 from jaxurban.draw.write import Figures
-from jaxurban.receivers.figures import draw_horizon, sky_places
 from jaxurban.receivers.validation.validate import ReceiverValidation
 
 HIDDEN, SEEN = "#d55e00", "#0072b2"
-CLASSES = ((False, "hidden by a building", "^", HIDDEN), (True, "in view", "o", SEEN))
 ROWS = {  # of scores
     "all": "all judged",
     "received": "received ones",
@@ -57,19 +53,11 @@ SHARE = Colours(
     extend="min",
     ticks=(0.4, 0.6, 0.8, 1.0),
 )
-STRENGTH = Colours(
-    "viridis_r",
-    Normalize(20, 50),
-    "C/N0 (dBHz); hollow marks: not received; pale marks: not judged",
-    extend="both",
-    ticks=(20, 30, 40, 50),
-)
 
 
 def satellite_figures(result: ReceiverValidation) -> Figures:
     """Return what draws each figure, by file name."""
-    drawings = {"track": plot_track, "margin": plot_margin, "skies": plot_skies}
-    return {name: partial(draw, result) for name, draw in drawings.items()}
+    return {"track": partial(plot_track, result), "margin": partial(plot_margin, result)}
 
 
 @styled
@@ -77,7 +65,7 @@ def plot_track(result: ReceiverValidation) -> Figure:
     """Return the track in pieces of 10 m, coloured by the share of satellites on which maps and receiver agree.
 
     They agree where a satellite is in view and strong, or hidden and weak. Pieces without a judged satellite are
-    crosses; the places of `plot_skies` are named.
+    crosses; the places of ``skies`` are named.
     """
     # The mean place of each piece from the southwest, in metres, and the share of its satellites that agree.
     epochs = result.epochs
@@ -162,45 +150,4 @@ def plot_margin(result: ReceiverValidation) -> Figure:
     )
     below.yaxis.set_major_formatter(PercentFormatter(1.0))
     panel.set_ylabel("C/N0 (dBHz)")
-    return figure
-
-
-@styled
-def plot_skies(result: ReceiverValidation) -> Figure:
-    """Return the sky over the places of least and of most agreement: roofs, and satellites coloured by strength.
-
-    The marker says whether the maps have a satellite in view; it is hollow where the receiver heard nothing, and pale
-    where the satellite is not judged.
-    """
-    # A polar panel for each place, with its roofs.
-    figure = chart(4.3, "The sky over two places: the zenith in the middle, the horizon at the rim")
-    axes = figure.subplots(1, len(result.skies), subplot_kw={"projection": "polar"}, squeeze=False)[
-        0
-    ]
-    for panel, sky in zip(axes, result.skies, strict=True):
-        draw_horizon(panel, sky.horizon_deg)
-        panel.set_title(f"{sky.name}, {sky.utc[11:19]} UTC")
-
-        # Satellites that are hidden and such that are in view, each class with its marker.
-        for is_seen, label, marker, _ in CLASSES:
-            rows = sky.satellites[sky.satellites.is_seen == is_seen].sort_values("azimuth_deg")
-            colours = STRENGTH(rows.cn0_dbhz.to_numpy())
-            colours[rows.cn0_dbhz == 0] = 1.0  # white
-            opacity = np.where(rows.is_judged, 1.0, 0.3) if len(rows) else None  # not of no row
-            panel.scatter(
-                *sky_places(rows).T,
-                s=50,
-                alpha=opacity,
-                marker=marker,
-                c=colours,
-                edgecolors=INK,
-                linewidths=0.7,
-                label=label,
-                zorder=5,
-            )
-    letter_all(axes)
-    add_colour_bar(figure, axes, STRENGTH, "bottom")
-    legend_below(figure, axes[0])
-    for panel, sky in zip(axes, result.skies, strict=True):
-        label_apart(panel, sky.satellites.satellite, sky_places(sky.satellites))
     return figure

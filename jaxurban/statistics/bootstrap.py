@@ -171,16 +171,11 @@ def interval_of(value: float, drawn: np.ndarray, num_groups: int) -> Interval:
     known = drawn[np.isfinite(drawn)]
     ends = [np.nan, np.nan]
     if num_groups >= FEWEST_GROUPS and len(known) >= LEVEL * len(drawn):
-        # Share of normal values below the lower end.
-        tail = special.ndtr(-interval_reach(num_groups))
+        # How many standard errors of the draws it reaches to each side, and the share of normal values beyond.
+        student = special.stdtrit(num_groups - 1, (1 + LEVEL) / 2)
+        tail = special.ndtr(-student * np.sqrt(num_groups / (num_groups - 1)))
         ends = np.quantile(known, [tail, 1 - tail]).tolist()
     return Interval(float(value), *ends)
-
-
-def interval_reach(num_groups: int) -> float:
-    """Return how many standard errors of its draws an interval reaches to each side."""
-    student = special.stdtrit(num_groups - 1, (1 + LEVEL) / 2)
-    return float(student * np.sqrt(num_groups / (num_groups - 1)))
 
 
 def draws_of(num_groups: int, seed: int | Sequence[int] = 0) -> np.ndarray:

@@ -194,5 +194,5 @@ def concluded(
         command = wider
     needed = [each.needed for each in verdicts if 0 < each.needed < math.inf]
     if needed:
-        command = more.format(needed=math.ceil(factor * min(needed)))
+        command = more.replace("{needed}", str(math.ceil(factor * min(needed))))
     return Conclusion(tuple(verdicts), command)

@@ -27,10 +27,8 @@ from jaxurban.world.grid import Grid
 
 FEWEST_RUNS = 10  # of a stratum of which something is said
 EDGE_CELLS = 3  # a route this near to the border of the data may be what the border made it
-USUAL_SHARE, FEWEST_TO_HOLD_OUT = (
-    0.25,
-    16,
-)  # is held out of a fit where it has so many routes or more
+USUAL_SHARE = 0.25  # is held out of a fit
+FEWEST_TO_HOLD_OUT = 16  # routes: of fewer none is held out
 
 
 def effects(values: np.ndarray | pd.DataFrame, clusters: Clusters) -> pd.DataFrame:

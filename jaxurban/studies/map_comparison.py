@@ -136,17 +136,16 @@ class MapComparison(Result):
         """What B's maps change in the cost's metrics, in the cells open to planners, and for routes."""
         verdicts = [self._of_cells(), *self._of_routes(), *self._of_guesses()]
 
-        # Commands that can be pasted as they are; of maps in memory they are Python's. Braces are of `str.format`.
+        # Commands that can be pasted as they are; of maps in memory they are Python's.
         more = "ju.studies.compare(A, B, routes={needed})"
         view = "ju.view(B)"
         if all(self.names):
-            names = (name.replace("{", "{{").replace("}", "}}") for name in self.names)
-            a, b = map(shlex.quote, names)
+            a, b = map(shlex.quote, self.names)
             which = f"--resolution {self.a.grid.resolution_m:g}"
             more = f"jaxurban compare {a} {b} {which} --routes {{needed}} -o {b}_routes_{{needed}}"
             view = f"jaxurban view {b} {which}"
         command = more if self.routes.empty else view
-        done = command.format(needed=USUAL_ROUTES)
+        done = command.replace("{needed}", str(USUAL_ROUTES))
         return concluded(verdicts, more=more, done=done, wider=done)
 
     def _of_cells(self) -> Verdict:

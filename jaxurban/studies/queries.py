@@ -140,7 +140,8 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
     # Metrics, cost models and, where a cost counts cells, resolutions.
     if not queries:
         raise InputError(
-            "there are no routes to study (demonstrations, queries or cities): give at least one"
+            "there are no routes to study: name files of routes, such as the instances.parquet of a study, or sample "
+            "instances (--sample); in Python give demonstrations or queries"
         )
     cost_maps = maps_of(queries)
     metrics = [", ".join(cost_map.weight_names) for cost_map in cost_maps]

@@ -9,11 +9,9 @@ Averaged over W exp(Z), Z normal, it is smooth (Berthet et al. 2020, with the mu
 2022), and its derivative by log W is an average too: E[f(W exp(Z)) Z] / sigma^2 (Stein's identity).
 """
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -23,9 +21,9 @@ from jaxtyping import Array, Float
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.io.tables import RowStore, fingerprint
+from jaxurban.io.tables import fingerprint
 from jaxurban.progress import Progress
-from jaxurban.studies.queries import RouteQuery, maps_of
+from jaxurban.studies.queries import RouteQuery
 
 DIGITS = 10  # of features: routes that agree in so many cost the same under every W
 BLOCK = 64  # routes a query: arrays grow by so many at once, so that compiled code meets few shapes
@@ -46,22 +44,16 @@ class RoutePool:
         self,
         queries: Sequence[RouteQuery],
         known: Sequence[np.ndarray] = (),
-        workers: int | None = None,
-        store: RowStore | None = None,
     ) -> None:
         """Begin with the known routes, or with none.
 
         Args:
           queries: whose routes are searched for; at least one.
           known: ``[2, K]`` features and integrals of one route of each query; empty: there are none yet.
-          workers: threads that search, but for small maps; None: one per core.
-          store: keeps the results of searches; a search that is in it is not made again. None: nothing is kept.
         """
         self.queries = tuple(queries)
         self.names = self.queries[0].names
         self.num_plans = 0
-        self._store = store
-        self._workers = workers or os.cpu_count() or 1
 
         # Of each query its different routes [2, K], by their rounded features.
         self._routes: list[dict[tuple[str, ...], np.ndarray]] = [{} for _ in self.queries]
@@ -104,26 +96,17 @@ class RoutePool:
         weights = np.broadcast_to(weights, (len(self.queries), *np.shape(weights)[-2:]))
         num_queries, num_weights, _ = weights.shape
 
-        # The result of the same searches, if the store has it, else of searches that are made now.
-        key = fingerprint(weights.shape, weights)
-        row = None if self._store is None else self._store.get(key)
-        if row is not None:
-            result = np.frombuffer(row["found"]).reshape(2, *weights.shape)
+        # One query and one row of weights for each search, all weights of a query together.
+        numbers = np.repeat(np.arange(num_queries), num_weights).tolist()
+        queries = [self.queries[number] for number in numbers]
+        rows = weights.reshape(len(queries), -1)
+        if all(query.cost_map.is_free.size < FEW_CELLS for query in self.queries):
+            routes = list(map(RouteQuery.cheapest, queries, rows))
         else:
-            # One query and one row of weights for each search, all weights of a query together.
-            numbers = np.repeat(np.arange(num_queries), num_weights).tolist()
-            queries = [self.queries[number] for number in numbers]
-            rows = weights.reshape(len(queries), -1)
-            if all(query.cost_map.is_free.size < FEW_CELLS for query in self.queries):
-                routes = list(map(RouteQuery.cheapest, queries, rows))
-            else:
-                with ThreadPoolExecutor(self._workers) as threads:
-                    routes = list(threads.map(RouteQuery.cheapest, queries, rows))
-            sums = np.array(list(map(self._sums_of, numbers, routes)))  # [Q M, 2, K]
-            result = np.moveaxis(sums.reshape(num_queries, num_weights, 2, -1), 2, 0)
-            if self._store is not None:
-                self._store.add([{"weights": key, "found": result.tobytes()}])
-                self._store.save()
+            with ThreadPoolExecutor() as threads:
+                routes = list(threads.map(RouteQuery.cheapest, queries, rows))
+        sums = np.array(list(map(self._sums_of, numbers, routes)))  # [Q M, 2, K]
+        result = np.moveaxis(sums.reshape(num_queries, num_weights, 2, -1), 2, 0)
         self.num_plans += num_queries * num_weights
         for query, found in enumerate(np.moveaxis(result, 0, 2)):
             for route in found:
@@ -159,15 +142,13 @@ class FitSettings:
       max_rounds: of searches; fewer where nothing is left to better.
       seed: of all noise.
       budget_s: seconds; the fit ends after the round in which they run out.
-      state_file: where searches are kept, named ``.parquet``; a fit of the same queries and settings goes on from it,
-        to the same weights, bit for bit, as if it had not stopped.
       progress: gets a call after every round, as in `ju.build_maps`.
 
     Raises:
       InputError: a number that is too small.
 
     Examples:
-      >>> settings = ju.fit.FitSettings(max_rounds=5, state_file="fit.parquet")  # goes on from this file if it is there
+      >>> settings = ju.fit.FitSettings(max_rounds=5)
       >>> settings.max_rounds, settings.seed
       (5, 0)
     """
@@ -175,7 +156,6 @@ class FitSettings:
     max_rounds: int = 20
     seed: int = 0
     budget_s: float = np.inf
-    state_file: str | Path | None = None
     progress: Progress = False
 
     def __post_init__(self) -> None:
@@ -184,39 +164,6 @@ class FitSettings:
                 "max_rounds must be >= 1, budget_s > 0 and seed >= 0, got "
                 f"{self.max_rounds}, {self.budget_s} and {self.seed}"
             )
-
-
-def pool_of_fit(
-    settings: FitSettings,
-    queries: Sequence[RouteQuery],
-    known: Sequence[np.ndarray] = (),
-    **fit: Any,
-) -> RoutePool:
-    """Return the pool in which a fit searches for routes, with a store where its settings name a state file.
-
-    A fit follows from its settings and from the results of its searches alone. So one that was interrupted goes on from
-    its state file to the same weights, bit for bit.
-
-    Args:
-      settings: of the fit; the seed is part of the state file's key.
-      queries: whose routes are searched for.
-      known: as in `RoutePool`.
-      fit: all else that decides which searches the fit makes, plain values by name.
-
-    Raises:
-      InputError: a state file that is damaged, or of other queries, maps or settings.
-    """
-    store = None
-    if settings.state_file is not None:
-        digests = []
-        for cost_map in maps_of(queries):
-            costs = cost_map.costs
-            model = cost_map.names, cost_map.cost_model, cost_map.grid.resolution_m, costs.shape
-            digests.append(fingerprint(model, costs, cost_map.is_free))
-        routes = fingerprint(digests, [(query.start, query.goal) for query in queries])
-        key = {"fit of routes and maps": routes, "seed": settings.seed, **fit}
-        store = RowStore(Path(settings.state_file), ["weights"], settings=key)
-    return RoutePool(queries, known, store=store)
 
 
 def draw_pairs(seed: int, num_noise: int, num_weights: int) -> np.ndarray:

@@ -34,12 +34,9 @@ from jaxurban.terminal.options import Names, Numbers, Values, command
 NO_ROUTE = "no route was found, so that nothing can be said: the report says why"
 DRAWN_ROUTES = 30  # in each folder of maps
 OF_STUDY = (
-    "num_samples",
     "num_heights",
     "wrong",
     "seed",
-    "tolerance",
-    "max_plans",
 )
 
 

@@ -144,8 +144,6 @@ def _kept(
         except InputError as error:
             reasons.append(f"{label}: {error}")
     said = "; ".join(reasons[:MOST_REASONS])
-    if len(reasons) > MOST_REASONS:
-        said += f"; and {len(reasons) - MOST_REASONS} more"
     if not kept:
         raise InputError(f"no route of {source} is of use: {said or 'there is none'}")
     if reasons:

@@ -149,11 +149,8 @@ def tune_command(
     log_lines(facts["decided"]["lines"])
     LOG.info(facts["message"])
     for warning in facts.get("warnings", []):
-        if warning != facts["message"]:
-            LOG.info(f"warning: {warning}")
-    LOG.info(
-        f"tune finished: read {output / 'report.md'}; the weights are in {output / 'weights.toml'}"
-    )
+        LOG.info(f"warning: {warning}")
+    LOG.info(f"tune finished: read {output / 'report.md'}")
     if as_json:
         print_json(facts)
     else:

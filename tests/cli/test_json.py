@@ -23,7 +23,7 @@ COMMANDS = cli.app.commands
 WITH_JSON = [name for name in COMMANDS if name != "view"]
 ROUTE = (*ENDS, "--altitude", 60, "--snap")
 TWO_TIMES = 'gps.times=["2020-04-27T00:00:00Z", "2020-04-27T06:00:00Z"]'
-FEW = ("--study", "num_samples=2", "--vary", "gps", "--workers", 1)
+FEW = ("--vary", "gps", "--workers", 1)
 
 
 def codes_of(command: str) -> set[int]:
@@ -232,7 +232,7 @@ def test_a_check_is_an_object_at_each_of_its_codes(more, code, made, tmp_path, c
 
 @pytest.mark.slow
 def test_a_sensitivity_and_a_fit_are_objects(made, tmp_path, capsys):
-    few = ("--study", "num_samples=2", "--vary", "gps", "-o", tmp_path / "one")
+    few = ("--vary", "gps", "-o", tmp_path / "one")
     code, out, err = run(capsys, "sensitivity", made, *ROUTE, *few, "--json")
     assert code == ExitCode.DONE, err
     facts = check_json(out, code, "sensitivity")

@@ -95,8 +95,6 @@ REFUSED = [
     ("view maps --no-browser --port {port}", "cannot listen", "--port"),
     (f"{ROUTE} --range 1", "--range", "0.1,10"),
     (f"{ROUTE} --range 2,3", "range"),
-    (f"{ROUTE} --study num_samples=3", "power of two"),
-    (f"{ROUTE} --study tolerance=0", "tolerance"),
     (f"{ROUTE} --routes 3", "--routes"),
     (f"{ROUTES} --start=-73.999,40.756", "--goal"),
     (f"{ROUTES} --range 0,1", "range"),

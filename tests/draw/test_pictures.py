@@ -18,7 +18,6 @@ from tests.pictures import faults
 SLOW = (
     "plot_epochs",
     "plot_overview",
-    "plot_skies",
 )
 
 

@@ -156,12 +156,8 @@ def judge_numbers(old: Numbers, new: Numbers) -> Iterator[Row]:
         allowed = (
             1e-6 if what.startswith(("fit", "sensitivity")) or OF_THE_SKY.search(what) else 1e-9
         )
-        is_old = (
-            what.endswith("sobol") and np.__version__ < "2.1"
-        )  # the floor moves an index of -0.003 by 6e-9
-        least = 1e-2 if is_old else 1e-3
         shares = {
-            key: share(before.get(key, ""), after.get(key, ""), least)
+            key: share(before.get(key, ""), after.get(key, ""))
             for key in sorted({**before, **after})
         }
         beyond = [

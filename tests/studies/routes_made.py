@@ -21,7 +21,7 @@ from tests.made_maps import made_maps
 NUM = 16  # demonstrations of every fit: other shapes are compiled anew
 NUM_ROUTES = 9  # of the study of weights, a city
 STUDY = ju.studies.Study(budget_iterations=200, seed=2)
-WEIGHT_STUDY = ju.studies.SensitivitySettings(num_samples=2, seed=3)
+WEIGHT_STUDY = ju.studies.SensitivitySettings(seed=3)
 HIDDEN = ju.Weights(distance=0.02, gps=0.35, lidar=0.15, population=0.2, risk=0.28)
 
 

@@ -4,7 +4,6 @@ import tracemalloc
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 import xarray as xr
 
@@ -18,7 +17,7 @@ from jaxurban.studies.demonstrations import (
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.tuning.confidence import draw_counts
 from jaxurban.studies.tuning.target_fit import outcome_values
-from jaxurban.studies.tuning.tested import split
+from jaxurban.studies.tuning.tested import split, tested_outcomes, wish_conclusion
 from tests.studies.routes_made import HIDDEN, NUM, cosine, made_queries, thinned
 
 VECTOR = HIDDEN.vector(("distance", "gps", "lidar", "population", "risk"))
@@ -94,26 +93,6 @@ def test_intervals_of_thinned_routes_contain_the_weights_that_they_were_planned_
     low, high = fit_weights(drawn, bootstrap=20).table[["low", "high"]].to_numpy().T
     assert np.all(low <= truth / truth.sum())
     assert np.all(truth / truth.sum() <= high)
-
-
-@pytest.mark.slow
-def test_a_fit_that_stopped_ends_bit_for_bit_as_one_that_did_not(demonstrations, fit, tmp_path):
-    def stop(stage, done, total):
-        if done == 3:
-            raise KeyboardInterrupt
-
-    kept = FitSettings(state_file=tmp_path / "state.parquet", progress=stop)
-    with pytest.raises(KeyboardInterrupt):
-        fit_weights(demonstrations, bootstrap=40, settings=kept)
-    searched = []
-    kept = replace(kept, progress=lambda stage, done, total: searched.append(done))
-    resumed = fit_weights(demonstrations, bootstrap=40, settings=kept)
-    assert searched == list(range(1, len(fit.curve) + 1))
-    np.testing.assert_array_equal(resumed.vector, fit.vector)
-    pd.testing.assert_frame_equal(resumed.table, fit.table)
-    np.testing.assert_array_equal(resumed.regret, fit.regret)
-    with pytest.raises(ju.InputError, match=r"its fit of routes and maps is .*, now "):
-        fit_weights(demonstrations[1:], settings=kept)
 
 
 def fitted(maps, hidden=HIDDEN, cost_model="line", altitude_m=20.0, max_rounds=20, **how):
@@ -239,10 +218,8 @@ def test_lines_at_any_angle_follow_the_metrics_that_they_are_optimal_under_and_n
     assert fit.best_mean_regret > 0.01
     assert fit.sentence.startswith("These routes follow these metrics: at best they cost")
     assert "of which redrawing them on the grid adds" in fit.sentence
-    assert fit.sentence not in fit.warnings
     fit = fit_of(mixed)
     assert fit.sentence.startswith("These routes do not follow these metrics")
-    assert fit.warnings[0] == fit.sentence
 
 
 def regret_of(shown, weights) -> np.ndarray:
@@ -263,7 +240,6 @@ def test_a_fit_finds_the_pilot_among_detours(found, spoilt):
     assert found.sentence.startswith(
         f"Most of these routes, {np.sum(found.trust >= 0.1)} of {len(fitted)}, follow"
     )
-    assert found.sentence == found.warnings[0]
 
 
 @pytest.mark.slow
@@ -317,15 +293,12 @@ def outcomes_under_many_weights(queries) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_targets_are_met_where_brute_force_meets_them_and_missed_where_it_does_not(
-    queries, tmp_path
-):
+def test_targets_are_met_where_brute_force_meets_them_and_missed_where_it_does_not(queries):
     values = outcomes_under_many_weights(queries)
     most = values.max(axis=0)
     gps, lidar = values[np.argmax(np.min(values / most, axis=1))]
     reachable = [f"mean_gps>={gps:.4f}", f"mean_lidar>={lidar:.4f}"]
-    kept = FitSettings(state_file=tmp_path / "state.parquet")
-    fit = fit_targets(queries, reachable, settings=kept)
+    fit = fit_targets(queries, reachable)
     assert fit.is_met
     assert fit.outcomes["missed_by"].max() <= 0.02
     assert fit.sentence == (
@@ -336,7 +309,7 @@ def test_targets_are_met_where_brute_force_meets_them_and_missed_where_it_does_n
     weights = np.array([[fit.weights[name] for name in fit.names]])
     planned = RoutePool(queries).cheapest(np.broadcast_to(weights, (FEW, 1, 3)))[1, :, 0]
     assert np.mean(planned[:, 2] / planned[:, 0]) == pytest.approx(fit.outcomes["reached"].iloc[1])
-    again = fit_targets(queries, reachable, settings=kept)
+    again = fit_targets(queries, reachable)
     assert again.weights == fit.weights
     assert again.num_plans == fit.num_plans
 
@@ -347,6 +320,18 @@ def test_targets_are_met_where_brute_force_meets_them_and_missed_where_it_does_n
     assert not fit.outcomes["is_met"].all()
     assert all(fit_targets(queries, [target]).is_met for target in fit.targets)  # they conflict
     assert np.sum(fit.outcomes["missed_by"] ** 2) <= 1.02 * np.sum(missed**2, axis=1).min()
+
+
+def test_the_next_fit_to_a_wish_names_the_altitude_of_its_routes_only_where_all_have_one(small):
+    shown = [ju.cost_map(small, altitude_m) for altitude_m in (20.0, 60.0)]
+    low, high = (made_queries(unit, 3) for unit in shown)
+    targets = [Target.parse("mean_gps>=0.99")]
+    weights = np.tile(VECTOR, (2, 1))
+    for queries, named in ((low, True), ([*low, *high], False)):
+        tested = tested_outcomes(queries, targets, weights)
+        decided = wish_conclusion(tested, targets, 0, queries, HIDDEN)
+        assert "jaxurban tune" in decided.next_command
+        assert ("--altitude 20 " in decided.next_command) == named
 
 
 @pytest.mark.slow

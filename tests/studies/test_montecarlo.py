@@ -108,7 +108,7 @@ def test_a_study_whose_instances_were_changed_is_refused(one, tmp_path):
     for number in (2, 3):
         with pytest.raises(
             ju.InputError,
-            match=r"instances are lost \(.*instances.parquet' is not as it was written\)",
+            match=r"instances.parquet' is not as the study wrote it: choose another folder",
         ):
             one(tmp_path, number)
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "rows.parquet"), rows)

@@ -27,15 +27,11 @@ def test_its_weight_changes_the_route_of_plan_many_and_explain_agrees(noisy, end
 
 
 def test_sensitivity_finds_the_breakpoints_of_its_weight(noisy, ends, tmp_path):
-    how = ju.studies.SensitivitySettings(vary=("noise",), num_samples=4, max_plans=20)
+    how = ju.studies.SensitivitySettings(vary=("noise",))
     under = {"altitudes_m": [20.0], "weights": LOUD.replace(noise=1.0), "progress": False}
     found = ju.studies.sensitivity(noisy, tmp_path, [ends], settings=how, **under)
     assert found.route.names == NAMES
     assert len(found.route.breakpoints("noise")) > 1
-    traded = found.route.front.points["noise"]
-    assert traded.is_monotonic_decreasing != traded.is_monotonic_increasing
-    shares = found.tables["sobol"].set_index(["outcome", "weight_name"])
-    assert shares.loc[("mean_noise", "noise"), "total"] > 0.1
     assert "| noise | " in (tmp_path / "report.md").read_text()
 
 

@@ -12,7 +12,7 @@ from jaxurban.fit import FitSettings, Target, fit_targets, fit_weights
 from jaxurban.io.tables import write_table
 from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
 from jaxurban.studies.queries import RouteQuery, check_alike
-from jaxurban.studies.weights.sobol import varied_columns
+from jaxurban.studies.weights.routes import varied_columns
 from tests.made_maps import made_maps
 from tests.studies.routes_made import (
     STUDY,
@@ -185,16 +185,16 @@ ROWS = [
     ("no weight 'w_noise'", lambda s: noisy(s, lambda table: table.drop(columns="w_noise"))),
     ("or 'noise', got 'nois'", lambda s: noisy(s, lambda table: table.assign(w_nois=1.0))),
     (
-        "name the cities alpha, gamma, and the maps are of alpha, beta",
+        r"name the cities alpha, gamma \(column 'city'\), and the maps are of alpha, beta",
         lambda s: cities(s, "alpha", "gamma"),
     ),
     (
-        "name the cities alpha, and the maps are of alpha, beta",
+        r"name the cities alpha \(column 'city'\), and the maps are of alpha, beta",
         lambda s: cities(s, "alpha", "alpha"),
     ),
     ("routes must be", lambda s: weights(s, True)),
-    ("lack the column 'city'", lambda s: weights(s, [((0.0, 0.0), (1, 1))])),
-    ("has no rows", lambda s: weights(s, s.weight_study.instances[:0])),
+    ("name the cities none", lambda s: weights(s, [((0.0, 0.0), (1, 1))])),
+    ("name the cities none", lambda s: weights(s, s.weight_study.instances[:0])),
     (
         "another run of `jaxurban sensitivity`",
         lambda s: reweighed(s, settings=replace(WEIGHT_STUDY, wrong=3.0)),

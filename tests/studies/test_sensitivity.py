@@ -1,4 +1,4 @@
-"""Weights of one route: breakpoints against SciPy, Sobol indices, the gradient of its cost, report and command."""
+"""Weights of one route: breakpoints against SciPy, the gradient of its cost, report and command."""
 
 import json
 from itertools import pairwise
@@ -11,24 +11,19 @@ from scipy.sparse.csgraph import dijkstra
 
 import jaxurban as ju
 from jaxurban.planners.cost import STEPS
-from jaxurban.studies.figures.sensitivity import one_figures
+from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front
+from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_breakpoints
 from jaxurban.studies.weights.one_route import SAME_WAY
 from jaxurban.studies.weights.paid import paid_on
-from jaxurban.studies.weights.sobol import FEW_SAMPLES, sobol_indices, sobol_of_weights
 from jaxurban.typing import CostMap, PlannedPath, Sensitivity
 from tests.cli_runs import run
 from tests.pictures import faults
 from tests.studies.routes_made import walled
 
 GIVEN = np.array([0.1, 1.0, 1.0, 1.0, 1.0])
-NAMES, LETTERS = ("distance", "gps", "lidar", "population", "risk"), ("x1", "x2", "x3")
-TRIANGLE = np.tile(GIVEN, (3, 1))
-TRIANGLE[:, [1, 3, 4]] = 3 * np.eye(3)
-SIDE = 12
-THREE = ("distance", "population", "risk")
+NAMES = ("distance", "gps", "lidar", "population", "risk")
 
 
 def dijkstra_cost(query: RouteQuery, weights: np.ndarray) -> float:
@@ -57,27 +52,6 @@ def line_of(name: str) -> np.ndarray:
     return ends
 
 
-@pytest.fixture(scope="module")
-def exact(crossing):
-    return find_breakpoints(RoutePool([crossing]), TRIANGLE)
-
-
-def test_cheapest_costs_over_a_triangle_equal_dijkstra_at_every_place_of_a_grid(crossing, exact):
-    u, v = np.meshgrid(*2 * [(np.arange(SIDE) + 0.5) / SIDE])
-    shares = np.stack([1 - np.sqrt(u), np.sqrt(u) * (1 - v), np.sqrt(u) * v], -1).reshape(-1, 3)
-    truth = [dijkstra_cost(crossing, weights) for weights in exact.weights_at(shares)]
-    np.testing.assert_allclose(exact.cost_at(shares), truth, rtol=1e-9)
-    assert exact.is_complete
-    assert len(exact.cells) > 10, "a grid of many routes is what tells"
-
-
-def test_cells_cover_the_triangle_once_and_hold_their_own_route(exact):
-    assert exact.sizes.sum() == pytest.approx(1, abs=1e-9)
-    assert np.all(np.diff(exact.sizes) <= 0)
-    cheapest = np.argmin(exact.weights_at(exact.middles) @ exact.features.T, axis=-1)
-    np.testing.assert_array_equal(cheapest, np.arange(len(exact.cells)))
-
-
 @pytest.mark.parametrize("name", ["risk", "population"])
 def test_along_a_line_the_route_changes_at_the_cuts_and_has_ever_less_of_a_rising_weight(
     crossing, name
@@ -94,50 +68,10 @@ def test_along_a_line_the_route_changes_at_the_cuts_and_has_ever_less_of_a_risin
         np.testing.assert_allclose(weights @ found.features[route], truth, rtol=1e-9)
 
 
-def test_a_tolerance_leaves_out_routes_but_costs_stay_within_it_and_a_limit_of_searches_is_told(
-    crossing, exact
-):
-    few, all_of_them = RoutePool([crossing]), RoutePool([crossing])
-    rough = find_breakpoints(few, TRIANGLE, tolerance=0.01)
-    find_breakpoints(all_of_them, TRIANGLE)
-    shares = np.random.default_rng(0).dirichlet(np.ones(3), 500)
-    assert len(rough.cells) < len(exact.cells)
-    assert few.num_plans < all_of_them.num_plans
-    assert np.all(rough.cost_at(shares) <= exact.cost_at(shares) * 1.01)
-    assert not find_breakpoints(RoutePool([crossing]), TRIANGLE, max_plans=5).is_complete
-
-
 def test_a_line_on_which_nothing_changes_has_one_cell(crossing):
     found = find_breakpoints(RoutePool([crossing]), np.stack([GIVEN, 3 * GIVEN]))
     assert len(found.cells) == 1
     assert found.breakpoints.size == 0
-
-
-def is_dominated(one: np.ndarray, points: np.ndarray, slack: float = 0.0) -> bool:
-    return bool(
-        np.any(
-            np.all(points <= one * (1 + slack), axis=1) & np.any(points < one * (1 - slack), axis=1)
-        )
-    )
-
-
-@pytest.mark.parametrize("objectives", [("distance", "risk"), THREE])
-def test_no_route_under_any_weights_is_below_the_hull_of_the_front(crossing, objectives):
-    points = pareto_front(RoutePool([crossing]), objectives).points[list(objectives)].to_numpy()
-    assert not any(is_dominated(one, points) for one in points)
-    for shares in np.random.default_rng(1).dirichlet(np.ones(len(objectives)), 20):
-        weights = np.zeros(len(NAMES))
-        weights[[NAMES.index(name) for name in objectives]] = shares
-        assert np.min(points @ shares) == pytest.approx(dijkstra_cost(crossing, weights), rel=1e-9)
-
-
-def test_with_a_tolerance_no_point_of_the_front_is_dominated_either(crossing):
-    exact, rough = (
-        pareto_front(RoutePool([crossing]), THREE, tolerance=tolerance).points.to_numpy()[:, :3]
-        for tolerance in (1e-9, 0.05)
-    )
-    assert len(rough) < len(exact)
-    assert not any(is_dominated(one, exact, 1e-9) for one in rough)
 
 
 def test_nearest_breakpoints_are_the_first_along_the_line_where_dijkstra_finds_a_cheaper_route(
@@ -174,65 +108,6 @@ def test_a_weight_of_zero_has_no_nearest_breakpoint(crossing):
     ).all()
 
 
-A, B, PI = 7.0, 0.1, np.pi
-# Parts of the variance in closed form (Ishigami and Homma, ISUMA 1990).
-ONE, TWO, BOTH = 0.5 * (1 + B * PI**4 / 5) ** 2, A**2 / 8, B**2 * PI**8 * (1 / 18 - 1 / 50)
-KNOWN = {
-    kind: np.array(parts) / (ONE + TWO + BOTH)
-    for kind, parts in (("first", (ONE, TWO, 0)), ("total", (ONE + BOTH, TWO, BOTH)))
-}
-
-
-def ishigami(num_samples: int, seed: int):
-    def evaluate(unit):
-        x = PI * (2 * unit - 1)
-        return {
-            "y": np.sin(x[:, 0]) + A * np.sin(x[:, 1]) ** 2 + B * x[:, 2] ** 4 * np.sin(x[:, 0])
-        }
-
-    return sobol_indices(evaluate, LETTERS, num_samples, seed).loc["y"]
-
-
-def test_indices_of_the_ishigami_function_are_the_known_ones():
-    table = ishigami(1024, 0)
-    for kind, known in KNOWN.items():
-        off = np.abs(table[kind].to_numpy() - known)
-        assert np.all(off < 0.03), (kind, off)
-        assert np.all(off < table[f"{kind}_ci"])
-        assert np.all(table[f"{kind}_ci"] < 0.1)
-
-
-@pytest.mark.slow
-def test_intervals_from_the_fewest_samples_contain_the_known_indices_in_93_of_100_cases(
-    monkeypatch,
-):
-    monkeypatch.setattr("jaxurban.studies.weights.sobol.NUM_RESAMPLES", 200)
-    inside = np.zeros((2, 3))
-    for seed in range(2000):
-        table = ishigami(FEW_SAMPLES, seed)
-        inside += [
-            np.abs(table[kind] - known) <= table[f"{kind}_ci"] for kind, known in KNOWN.items()
-        ]
-    assert (inside >= 0.93 * 2000).all(), inside / 2000
-
-
-def test_the_same_seed_gives_the_same_indices_and_an_outcome_that_does_not_vary_has_none():
-    first, again = (
-        sobol_indices(lambda x: {"y": x[:, 0] * x[:, 1]}, LETTERS[:2], 8) for _ in range(2)
-    )
-    assert first.equals(again)
-    found = sobol_indices(lambda x: {"y": np.ones(len(x))}, LETTERS[:2], 4)
-    assert found[["first", "first_ci", "total", "total_ci"]].isna().all().all()
-
-
-def test_indices_of_weights_come_with_intervals_and_take_n_times_factors_plus_2_plans(crossing):
-    pool = RoutePool([crossing, RouteQuery(crossing.cost_map, (4, 34), (28, 1))])
-    found = sobol_of_weights(pool, GIVEN, [3, 4], (0.1, 10.0), 16)
-    assert pool.num_plans == 2 * 16 * 4
-    assert list(found.loc["people"].index) == ["population", "risk"]
-    assert np.isfinite(found.loc["people"]).all().all()
-
-
 @pytest.fixture(scope="module")
 def found(crossed, ends, tmp_path_factory) -> Sensitivity:
     return ju.studies.sensitivity(
@@ -240,7 +115,6 @@ def found(crossed, ends, tmp_path_factory) -> Sensitivity:
         tmp_path_factory.mktemp("one"),
         [ends],
         altitudes_m=[20.0],
-        settings=ju.studies.SensitivitySettings(num_samples=4),
         progress=False,
     )
 
@@ -249,7 +123,7 @@ def found(crossed, ends, tmp_path_factory) -> Sensitivity:
 def command(crossed, ends, tmp_path, capsys):
     """Return what runs the command of a small study, with other options, over its maps or others."""
     crossed.save(tmp_path / "maps")
-    few = ("--vary", "risk,population", "--study", "num_samples=2", "-o", tmp_path / "out")
+    few = ("--vary", "risk,population", "-o", tmp_path / "out")
 
     def runs(*options, start=ends[0]):
         places = [
@@ -347,13 +221,12 @@ def test_the_first_lines_say_where_the_route_changes_and_that_one_route_says_not
 
 @pytest.mark.slow
 def test_the_report_names_every_figure_and_every_table_has_its_files(found):
-    for draw in one_figures(found.route).values():
-        assert faults(draw()) == []
+    assert faults(plot_breakpoint_routes(found.route)) == []
     report = (found.folder / "report.md").read_text()
     assert report.count("© a made city") == 1
     assert all(sentence in report for sentence in found.route.path.cautions or ["no caution"])
     shown = {part.split(")")[0] for part in report.split("](")[1:]}
-    assert shown == {f"figures/{name}.png" for name in ("switches", "switch_routes", "pareto")}
+    assert shown == {f"figures/{name}.png" for name in ["switch_routes"]}
     assert {f"figures/{file.name}" for file in (found.folder / "figures").iterdir()} == shown
     for name, table in found.tables.items():
         for read, suffix in ((pd.read_csv, "csv"), (pd.read_parquet, "parquet")):

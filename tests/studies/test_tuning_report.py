@@ -2,8 +2,6 @@
 
 import json
 import shlex
-import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,6 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.io.tables import RowStore
 from jaxurban.paths.plan import cost_map
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from tests.cli_runs import assert_one_sentence, run
@@ -59,7 +56,6 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     ):
         assert line.startswith(f"- **{name}**: ")
     assert report.splitlines()[6] == f"**{facts['message']}**"
-    assert (out / "weights.toml").read_text().startswith(f"# {facts['message']}\n")
     parts = [line.removeprefix("## ") for line in report.splitlines() if line.startswith("## ")]
     assert parts[:2] == ["Fitted weights", "Routes under the weights"]
     assert parts[2:] == ["How sure", "How to use the weights", "Files"]
@@ -69,9 +65,9 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     for figure in ("weights", "routes_1"):
         assert (out / "figures" / f"{figure}.png").is_file()
         assert f"(figures/{figure}.png)" in report
-    stored = tomllib.loads((out / "weights.toml").read_text())["weights"]
-    assert ju.Weights.parse(facts["weights_option"]).to_dict() == stored
-    assert stored == pytest.approx(facts["weights"], rel=1e-4, abs=1e-12)
+    assert f"--weights {facts['weights_option']}" in report
+    option = ju.Weights.parse(facts["weights_option"]).to_dict()
+    assert option == pytest.approx(facts["weights"], rel=1e-4, abs=1e-12)
     assert [*pd.read_csv(out / "weights.csv")["name"]] == [
         "distance",
         "gps",
@@ -85,13 +81,13 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     again = facts_of(capsys, *made, "-o", out, "--fit", "bootstrap=20")
     assert (again["weights"], again["decided"]) == (facts["weights"], facts["decided"])
     assert_refused(
-        run(capsys, "tune", *made, "-o", out, "--fit", "seed=1"),
-        "another file or folder",
+        run(capsys, "tune", *made, "-o", out, "--fit", "bootstrap=20,seed=1"),
+        "its seed is 0, now 1",
         "--overwrite",
     )
-    (out / "weights.toml").write_text("mine")
+    (out / "weights.csv").write_text("mine")
     refused = run(capsys, "tune", *made, "-o", out, "--fit", "bootstrap=20", "--overwrite")
-    assert_refused(refused, "weights.toml", "is not as `jaxurban tune` wrote it")
+    assert_refused(refused, "weights.csv", "is not as `jaxurban tune` wrote it")
 
 
 @pytest.mark.slow
@@ -133,7 +129,7 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
         (2, ("--fit", "budget_s=-1"), ("budget_s",)),
         (2, ("--sample", 3), ("choose one of both",)),
         (2, ("--fit", "hold_out=1"), ("hold_out",)),
-        (2, ("-o", FILE), ("it is a file",)),
+        (2, ("-o", FILE), ("cannot write to the output folder",)),
         (1, ("--sample", 6, "--metrics", "gps"), ("name the weights of the pilot",)),
         (1, ("--sample", 6, "--pilot", "distance=0,gps=0"), ("every weight of the pilot is 0",)),
         (1, (), ("name files of routes", "instances.parquet", "--sample")),
@@ -146,27 +142,6 @@ def test_bad_input_is_one_sentence_and_exit_two(
     assert_refused(
         run(capsys, "tune", *made[:num_sources], "-o", tmp_path / "out", *options), *words
     )
-
-
-@pytest.mark.slow
-def test_ctrl_c_keeps_the_searches_and_the_same_command_ends_alike(
-    made, tmp_path, capsys, monkeypatch
-):
-    def save_and_stop(store, save=RowStore.save):
-        save(store)
-        raise KeyboardInterrupt
-
-    how = (*made, "--fit", "bootstrap=0", "-o")
-    with monkeypatch.context() as patched:
-        patched.setattr("jaxurban.io.tables.SAVE_EVERY_S", 0.0)
-        patched.setattr(RowStore, "save", save_and_stop)
-        patched.setattr("os._exit", sys.exit)
-        code, _, err = run(capsys, "tune", *how, tmp_path / "out")
-    assert (code, "Traceback" in err) == (130, False)
-    num_kept = len(pd.read_parquet(tmp_path / "out" / "fit-state.parquet"))
-    resumed, whole = (facts_of(capsys, *how, tmp_path / name) for name in ("out", "whole"))
-    assert 0 < num_kept < len(pd.read_parquet(tmp_path / "whole" / "fit-state.parquet"))
-    assert resumed["weights"] == whole["weights"]
 
 
 @pytest.mark.slow

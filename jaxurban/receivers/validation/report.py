@@ -6,11 +6,9 @@ import pandas as pd
 
 from jaxurban.draw.write import ResultReport, bullets, first_lines, interval, table, without_ends
 from jaxurban.io.tracks import CN0, LAT, LON, SATELLITE, UTC
-from jaxurban.maps.levels import listed_m
 from jaxurban.receivers.report import HEADS, ROWS, satellite_figures
 from jaxurban.receivers.validation.logs import EPOCH
 from jaxurban.receivers.validation.validate import ReceiverValidation
-from jaxurban.settings import as_tuple
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 
 FIRST = [UTC, LON, LAT, SATELLITE, "state", "margin_m", CN0]  # columns of the table of satellites
@@ -37,7 +35,7 @@ def validation_report(result: ReceiverValidation) -> ResultReport:
             "result": result,
             "lines": first_lines(result.decided.facts),
             "fewest": FEWEST_GROUPS,
-            "facts": table(("", ""), _facts(result)),
+            "facts": table(("", ""), result.track_facts.items()),
             "cautions": bullets(cautions),
         },
         tables={
@@ -62,31 +60,3 @@ def score_texts(scores: pd.DataFrame) -> pd.DataFrame:
     for name in ("share", "auc", "within"):
         texts[name] = [interval(row, name) for row in rows]
     return texts.rename(columns=HEADS)
-
-
-def _facts(result: ReceiverValidation) -> list[tuple[str, str]]:
-    """Return the facts on the log and the maps, the rows of a table of the report: name and text."""
-    summary = result.summary
-    scenario = result.scenario
-    masks_deg = listed_m(as_tuple(scenario["gps"]["mask_deg"]))
-    judged = f"{summary['judged']:,} of {summary['rows']:,}"
-    return [
-        (
-            "epochs",
-            f"{summary['epochs']:,}, of which {summary['epochs_left_out']:,} have no judged row",
-        ),
-        ("time", f"{summary['first_utc']} to {summary['last_utc']}"),
-        ("track", f"{summary['length_m'] / 1000:.2f} km"),
-        ("rows judged, one a satellite and time", judged),
-        ("satellites in view, mean", f"{summary['mean_num_visible']:.1f}"),
-        ("satellites heard, mean", f"{summary['mean_num_heard']:.1f}"),
-        (
-            "maps",
-            f"cells of {summary['resolution_m']:g} m, elevation mask {masks_deg} degrees, antenna "
-            f"{result.settings.antenna_height_m:g} m above the ground",
-        ),
-        (
-            "city",
-            f"buildings `{scenario['buildings']['source']}`, terrain `{scenario['terrain']['source'] or 'flat'}`",
-        ),
-    ]

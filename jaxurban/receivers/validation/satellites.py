@@ -2,13 +2,11 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban import wings
 from jaxurban.io.city import City
 from jaxurban.io.orbits import matching
 from jaxurban.io.tracks import AZIMUTH, CN0, ELEVATION, SATELLITE
@@ -21,23 +19,16 @@ from jaxurban.world.sky import Sky
 NUM_HEARD = "num_heard"
 
 
-def known_of(known: str | float | Path, city: City, track: Track) -> shapely.Geometry:
+def known_of(known: str | float, city: City, track: Track) -> shapely.Geometry:
     """Return where the buildings of a city are known, as a geometry in its CRS.
 
     Args:
-      known: as in `ReceiverSettings`: what the city's file covers, or all; a file of polygons; or metres around the
-        places of the track.
+      known: as in `ReceiverSettings`: what the city's file covers, or all; or metres around the places of the track.
       city: of the buildings.
       track: its places.
-
-    Raises:
-      InputError: a file of polygons that cannot be read.
     """
     if known in (OF_CITY, EVERYWHERE):
         return city.known_ground
-    if isinstance(known, str | Path):
-        frame = wings.open_frame(known, "known area").to_crs(city.crs)
-        return shapely.union_all(frame.geometry.to_numpy())
     places = np.unique(np.column_stack([track.x_m, track.y_m]), axis=0)
     return shapely.union_all(shapely.buffer(shapely.points(places), float(known)))
 

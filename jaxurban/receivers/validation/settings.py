@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
-from jaxurban.checks import at_least, positive, typed
+from jaxurban.checks import at_least, one_of, positive, typed
 from jaxurban.errors import InputError
 
 OF_CITY, EVERYWHERE = "city", "all"  # what `ReceiverSettings.known` may say
@@ -24,7 +23,7 @@ class ReceiverSettings:
       sky_step_s: seconds for which satellites stand still; each epoch takes the sky nearest to it in time.
       block_m: length of the blocks of track that the bootstrap of the scores draws.
       known: where the buildings are known: ``"city"``, what their file covers; a number, this many metres around the
-        track; a vector file of polygons; or ``"all"``, which judges rays that leave the data as if nothing stood there.
+        track; or ``"all"``, which judges rays that leave the data as if nothing stood there.
       systems: letters of the satellite systems that are taken, such as ``"G"`` and ``"E"``; empty, all of the log.
       seed: of the bootstrap.
 
@@ -39,16 +38,18 @@ class ReceiverSettings:
     antenna_height_m: float = 2.0
     sky_step_s: float = 30.0
     block_m: float = 50.0
-    known: str | float | Path = OF_CITY
+    known: str | float = OF_CITY
     systems: Sequence[str] = ()
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check all settings; an area of ``known`` is read only when it is used."""
+        """Check all settings."""
         for name in ("antenna_height_m", "block_m", "sky_step_s"):
             positive(name, getattr(self, name))
-        if not isinstance(self.known, str | Path):
+        if not isinstance(self.known, str):
             positive("known", self.known, "metres")
+        else:
+            one_of("known", self.known, (OF_CITY, EVERYWHERE))
         at_least("seed", self.seed)
         unknown = [letter for letter in self.systems if letter not in SYSTEMS]
         if unknown:
@@ -71,8 +72,4 @@ class ReceiverSettings:
           >>> settings["systems"], settings["known"]
           (['G'], 'city')
         """
-        return {
-            **asdict(self),
-            "known": self.known if isinstance(self.known, float | int) else str(self.known),
-            "systems": list(self.systems),
-        }
+        return {**asdict(self), "systems": list(self.systems)}

@@ -6,6 +6,7 @@ strong signals. Neighbouring rows of a drive are alike, so intervals are of the 
 """
 
 import math
+import shlex
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -32,7 +33,7 @@ from jaxurban.receivers.validation.satellites import NUM_HEARD, counted
 from jaxurban.receivers.validation.scores import score_table
 from jaxurban.receivers.validation.settings import EVERYWHERE, ReceiverSettings
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
-from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, runs_needed
+from jaxurban.statistics.conclusions import Conclusion, Verdict, runs_needed
 
 CHANCE = 0.5  # AUC of what does not tell seen from hidden
 
@@ -114,11 +115,9 @@ class ReceiverValidation(Result):
             elif needed:
                 kind = SkyVerdict.OPEN
             verdicts.append(Verdict(kind, (what,), value, low, high, num, "", noun, needed))
-        return concluded(
-            verdicts,
-            more="jaxurban validate SCENARIO LONGER_LOG -o OUT",
-            done="jaxurban validate SCENARIO OTHER_LOG -o OUT",
-        )
+        log = shlex.quote(self.log.name)
+        command = f"jaxurban validate SCENARIO {log} -o OUT  # with the log of a longer drive there"
+        return Conclusion(tuple(verdicts), command)
 
     @property
     def known_cautions(self) -> list[Caution]:
@@ -149,13 +148,22 @@ class ReceiverValidation(Result):
 
     @property
     def facts(self) -> dict[str, str]:
-        """What it decided, the log, the track and its cells, and how many rows were judged."""
+        """What it decided, the log, and `track_facts`."""
+        return self.decided.facts | {"log": self.log.name} | self.track_facts
+
+    @property
+    def track_facts(self) -> dict[str, str]:
+        """The time and the track, how the maps were made, and how many rows, one a satellite and time, were judged."""
         summary = self.summary
-        return self.decided.facts | {
-            "log": self.log.name,
-            "track": f"{summary['length_m'] / 1000:.2f} km, {summary['epochs']} epochs",
-            "cells": f"{summary['resolution_m']:g} m",
+        gps = self.scenario["gps"]
+        return {
+            "time": f"{summary['first_utc']} to {summary['last_utc']}",
+            "track": f"{summary['length_m'] / 1000:.2f} km, {summary['epochs']:,} epochs, of which "
+            f"{summary['epochs_left_out']:,} have no judged row",
+            "maps": f"cells of {summary['resolution_m']:g} m, mask {gps['mask_deg']} degrees, antenna "
+            f"{self.settings.antenna_height_m:g} m above the ground",
             "rows judged": f"{summary['judged']:,} of {summary['rows']:,}",
+            "satellites, mean": f"{summary['mean_num_visible']:.1f} in view, {summary['mean_num_heard']:.1f} heard",
         }
 
     def score(self, which: str = "all") -> pd.Series:

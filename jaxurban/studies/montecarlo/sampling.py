@@ -201,7 +201,7 @@ def sample_joined(maps: MapsLike, num: int, **options: Any) -> pd.DataFrame:
 def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFrame:
     """Return queries, as `jaxurban.plan_many` takes them, as instances, numbered from 0.
 
-    Strata and ranges are found from the places; a query without a time takes the first one of the maps.
+    They have no strata and no range; a query without a time takes the first one of the maps.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
@@ -212,7 +212,6 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
     """
     maps = as_maps(maps)
     grid = maps.grid
-    strata = strata_of(maps)
     rows = []
     for number, query in enumerate(queries):
         row: dict[str, Any] = {"instance": number, "altitude_m": query.altitude_m, "crs": grid.crs}
@@ -225,22 +224,11 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
                 xy_m: Any = place[:2]
                 if not isinstance(place, XY):
                     xy_m = grid.xy_of_lonlat(*xy_m)
-                x_m, y_m = map(float, xy_m)
-                row |= _end_facts(grid, end, x_m, y_m)
-                stratum = NO_STRATUM
-                if grid.contains_xy(x_m, y_m):
-                    stratum = int(strata[grid.cell_of_xy(x_m, y_m)])
-                row[f"{end}_stratum"] = None if stratum == NO_STRATUM else STRATA[stratum]
+                row |= _end_facts(grid, end, *xy_m)
         except InputError as error:
             raise InputError(f"query {number + 1}: {error}") from error
 
-        # What describes the pair, its times and its weights.
-        distance_m = np.hypot(
-            row["goal_x_m"] - row["start_x_m"], row["goal_y_m"] - row["start_y_m"]
-        )
-        share = distance_m / _diagonal_m(grid)
-        ranges = (name for name, (low, high) in RANGES.items() if low <= share < high)
-        row["range"] = next(ranges, None)
+        # Its times and its weights.
         row["time"] = maps.default_time
         if query.time is not None and maps.default_time is not None:
             row["time"] = iso_utc(query.time)

@@ -286,14 +286,9 @@ def _check_growth(workspace: Workspace, instances: pd.DataFrame) -> None:
         return
 
     # The instances that its rows belong to.
-    try:
-        if workspace.is_changed(file):
-            raise InputError(f"{str(file)!r} is not as it was written")
-        before = read_instances(file).set_index(KEY)
-    except InputError as error:
-        raise InputError(
-            f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}"
-        ) from error
+    if workspace.is_changed(file):
+        raise InputError(f"{str(file)!r} is not as the study wrote it: {remedy}")
+    before = read_instances(file).set_index(KEY)
 
     # Each of them must still be there, with the same value in all columns that planners depend on.
     columns = query_columns(instances.columns)

@@ -51,10 +51,10 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
         "times": analysis.times(table),
         "objectives": analysis.objectives(table),
     }
-    for ranking in analysis.rankings(table).values():
-        for name, part in (("ranks", ranking.table), ("pairs", ranking.pairs)):
-            part = part.assign(measure=ranking.measure)
-            tables[name] = pd.concat([tables[name], part]) if name in tables else part
+    rankings = analysis.rankings(table).values()
+    if rankings:
+        tables["ranks"] = pd.concat(each.table for each in rankings)
+        tables["pairs"] = pd.concat(each.pairs.assign(measure=each.measure) for each in rankings)
     return tables
 
 

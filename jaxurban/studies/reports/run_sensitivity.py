@@ -1,13 +1,12 @@
 """sensitivity: what weights do to one or many routes of one or several cities, kept in a folder and resumable."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Unpack
 
 import pandas as pd
 
-from jaxurban.checks import typed, values_given
+from jaxurban.checks import at_least, typed, values_given
 from jaxurban.draw.write import save
 from jaxurban.errors import InputError
 from jaxurban.io.tables import INSTANCES_FILE, ROWS_FILE, records_of, write_table
@@ -33,7 +32,6 @@ from jaxurban.studies.weights.routes import WeightsJob, query_of, typed_columns
 from jaxurban.studies.weights.settings import SensitivitySettings
 
 ROUTES_FOLDER = "routes"
-SAMPLES_OF_ONE, SAMPLES_OF_MANY = 128, 32  # of the Sobol indices of each route
 
 
 @typed
@@ -59,10 +57,10 @@ def sensitivity(
     """Return what the weights do to one route, or to many of several altitudes and cities, with intervals.
 
     For each route and weight: its share of the cost (which is the gradient of the cost by the logarithm of the weight),
-    the nearest breakpoints, the regret of a wrong weight, and Sobol shares of what the route is like; also how routes
-    change at other times of the maps and, if asked, where heights are uncertain. A study of one route holds every route
-    along the range of each weight, too, and a Pareto front. Rows are kept in ``folder`` as they come; the same call
-    after any end, ``kill -9`` included, makes only what is missing. A route that fails is a row with its status.
+    the nearest breakpoints and the regret of a wrong weight; also how routes change at other times of the maps and, if
+    asked, where heights are uncertain. A study of one route holds every route along the range of each weight, too.
+    Rows are kept in ``folder`` as they come; the same call after any end, ``kill -9`` included, makes
+    only what is missing. A route that fails is a row with its status.
     ``report.md`` there says first what is decided, what is not, and what to run next, beside tables and figures.
 
     Args:
@@ -93,7 +91,7 @@ def sensitivity(
         another study or other files.
 
     Examples:
-      >>> chosen = ju.studies.SensitivitySettings(vary=("gps",), num_samples=0, seed=1)
+      >>> chosen = ju.studies.SensitivitySettings(vary=("gps",), seed=1)
       >>> result = ju.studies.sensitivity(
       ...     {"demo": maps}, "weights", 2, altitudes_m=[60.0], settings=chosen, progress=False
       ... )
@@ -113,16 +111,9 @@ def sensitivity(
     cities = open_cities(sources_by_city, job, weights)
     instances = routes_of_cities(cities, routes, altitudes_m)
 
-    # What was left out: Sobol samples, of which a single route has more; with several processes one thread a search.
-    is_one = len(instances) == 1
-    if settings.num_samples is None:
-        num_samples = SAMPLES_OF_ONE if is_one else SAMPLES_OF_MANY
-        settings = replace(settings, num_samples=num_samples)
-    num_threads = None if workers == 1 else 1
-    job = replace(cities.job, settings=settings, num_threads=num_threads)
-    cities = cities._replace(job=job)
+    job = cities.job
     only = None  # the single route: its cost map and instance
-    if is_one:
+    if len(instances) == 1:
         (instance,) = records_of(instances)
         (maps,) = cities.maps.values()
         at = instance["altitude_m"], instance["time"], instance["time_of_day"]
@@ -178,10 +169,8 @@ def _check_routes(routes: QueriesLike | int, weights: WeightsLike) -> None:
     Args:
       routes, weights: as in `sensitivity`.
     """
-    if isinstance(routes, int) and (routes < 1 or isinstance(routes, bool)):
-        raise InputError(
-            f"routes must be how many to sample in each city, at least 1, pairs or a table of them, got {routes!r}"
-        )
+    if isinstance(routes, int):
+        at_least("routes", routes, 1)
     if weights and isinstance(routes, pd.DataFrame) and "instance" in routes:
         raise InputError(
             "weights are of sampled routes and of queries: a table of instances has its own, so leave weights out"

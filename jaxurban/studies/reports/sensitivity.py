@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import pandas as pd
@@ -24,37 +24,35 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.public import FactsRepr
-from jaxurban.statistics.bootstrap import interval_columns
+from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
 from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded
-from jaxurban.studies.decided import wider_bounds
-from jaxurban.studies.figures.sensitivity import many_figures, one_figures
+from jaxurban.studies.decided import FEWEST_RUNS, wider_bounds
+from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes, plot_regret
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
-from jaxurban.studies.queries import outcome_label, population_norms, weights_option
+from jaxurban.studies.queries import population_norms, weights_option
 from jaxurban.studies.weights import summary
 from jaxurban.studies.weights.one_route import MORE, OneRoute
 from jaxurban.studies.weights.routes import WeightsJob
 from jaxurban.studies.weights.settings import SensitivitySettings
-from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, OVER_CITIES
-from jaxurban.studies.weights.verdicts import WeightVerdict, verdicts_of
+from jaxurban.studies.weights.summary import ALL, CUTS
+from jaxurban.studies.weights.verdicts import WeightVerdict, verdicts_of, weight_ranking
 
 # What a study may write, so that a user's file in the way is refused before an older study is removed.
 TABLES = [
     "routes",
     "weights",
     "summary",
-    "sobol",
-    "sobol_summary",
+    "pairs",
     "changed",
     "changed_summary",
     "ways",
     "switches",
-    "pareto",
 ]
-FIGURES = ["regret", "nearest", "switches", "switch_routes", "pareto"]
 FILES = files_of(
     [
         *(f"tables/{name}" for name in TABLES),
-        *(f"figures/{name}.png" for name in FIGURES),
+        "figures/regret.png",
+        "figures/switch_routes.png",
         REPORT_FILE,
     ]
 )
@@ -98,7 +96,7 @@ class Sensitivity(FactsRepr):
       route: what only a study of one route has; None of several, and where no path joins its ends.
 
     Examples:
-      >>> chosen = ju.studies.SensitivitySettings(vary=("gps",), num_samples=0)
+      >>> chosen = ju.studies.SensitivitySettings(vary=("gps",))
       >>> result = ju.studies.sensitivity(
       ...     {"demo": maps}, "weights", 2, altitudes_m=[60.0], settings=chosen, progress=False
       ... )
@@ -128,9 +126,9 @@ class Sensitivity(FactsRepr):
     def tables(self) -> dict[str, pd.DataFrame]:
         """All tables by name: ``routes``, and those that can be made of them.
 
-        Where any route was found ``weights`` and ``summary``; with Sobol shares ``sobol``, and with routes on other
-        maps ``changed``, each beside its summary (``sobol_summary`` and so on). Of one route ``ways``, where each
-        weight sends it another way, ``switches``, every route along the range of each weight, and ``pareto``.
+        Where any route was found ``weights`` and ``summary``, and of several routes ``pairs``, each two weights
+        compared; with routes on other maps ``changed`` and ``changed_summary``. Of one route ``ways``, where each
+        weight sends it another way, and ``switches``, every route along the range of each weight.
         """
         routes = summary.routes_of(self.rows, self.instances)
         result = {"routes": self.rows}
@@ -138,11 +136,9 @@ class Sensitivity(FactsRepr):
             return result
         result["weights"] = summary.weights_table(routes, self.settings.factors)
         result["summary"] = summary.summarise(result["weights"], self.settings.wrong)
-        shares = summary.shares_table(routes)
-        if len(shares):
-            result["sobol"] = shares
-            num_samples = self.settings.num_samples or 0
-            result["sobol_summary"] = summary.summarise_shares(shares, num_samples)
+        ranking = None if self.route else weight_ranking(result["weights"])
+        if ranking is not None:
+            result["pairs"] = ranking.pairs
         if len(self.changed) and self.changed.status.isin(HAS_PATH).any():
             result["changed"] = self.changed
             result["changed_summary"] = summary.summarise_changed(self.changed)
@@ -150,7 +146,6 @@ class Sensitivity(FactsRepr):
             result["ways"] = self.route.ways
             switches = [self.route.breakpoints(name) for name in self.route.lines]
             result["switches"] = pd.concat(switches).reset_index()
-            result["pareto"] = self.route.front.points.reset_index()
         return result
 
     @cached_property
@@ -191,9 +186,9 @@ def sensitivity_report(result: Sensitivity) -> ResultReport:
     tables = result.tables
     figures: Figures = {}
     if result.route is not None:
-        figures = one_figures(result.route)
+        figures["switch_routes"] = partial(plot_breakpoint_routes, result.route)
     elif "weights" in tables:
-        figures = many_figures(tables, result.settings.wrong)
+        figures["regret"] = partial(plot_regret, tables["summary"], result.settings.wrong)
 
     # Why routes were not found: the most frequent statuses, with their notes and the number of routes.
     lost = result.rows[~result.rows.status.isin(HAS_PATH)].fillna({"note": ""})
@@ -211,7 +206,8 @@ def sensitivity_report(result: Sensitivity) -> ResultReport:
         "constraints": str(result.rules.constraints) or "none",
         "weights": weights_said(result.instances),
         "origin": SAMPLED if result.is_sampled else GIVEN,
-        "summary": summary,
+        "fewest": FEWEST_GROUPS,
+        "fewest_runs": FEWEST_RUNS,
         "small": joined_with_and(small) if small else "none",
     }
     return ResultReport("studies/templates/sensitivity", fields, tables, figures)
@@ -264,7 +260,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     """Return the tables of the report by name, made of those of the study; none where no route was found.
 
     ``by_all`` (all routes, and each city) and ``where`` (further parts of the routes): statistics of each weight, of
-    each part the costliest wrong weight first. ``sobol``, ``changed`` and ``ways`` where the study has them.
+    each part the costliest wrong weight first. ``changed`` and ``ways`` where the study has them.
     """
     if "summary" not in tables:
         return {}
@@ -274,7 +270,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     by_regret = tables["summary"].assign(part=parts)
     by_regret = by_regret.sort_values(["part", "regret"], ascending=[True, False])
     by_regret = by_regret.rename(columns={"value": "of", "weight_name": "weight"})
-    is_whole = by_regret.cut.isin([ALL, OVER_CITIES, "city"])
+    is_whole = by_regret.cut.isin([ALL, "city"])
     is_part = by_regret.cut.isin(CUTS) & ~is_whole & (by_regret.weight != "distance")
     statistics = interval_columns("regret", "changes", "nearest", "share")
     paid = interval_columns(*MORE)
@@ -284,17 +280,6 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         "where": by_regret.loc[is_part, ["of", "weight", "routes", *statistics]],
     }
 
-    if "sobol_summary" in tables:
-        # A share and its interval stand only where the share is clear of 0; where it is not resolved the samples that
-        # should do.
-        sobol = tables["sobol_summary"]
-        total = sobol[sobol.kind == "total"]
-        share = interval_columns("share")
-        shown = total[
-            ["outcome", "weight_name", "routes", *share, "verdict", "samples_needed"]
-        ].copy()
-        shown[share] = shown[share].where(total.verdict == CLEAR)
-        result["sobol"] = shown.assign(outcome=total.outcome.map(outcome_label))
     if "changed_summary" in tables:
         changed = tables["changed_summary"]
         statistics = interval_columns("is_other", "overlap", "nominal_regret", "nominal_is_closed")

@@ -24,7 +24,7 @@ from jaxurban.draw.write import (
     save,
 )
 from jaxurban.errors import InputError
-from jaxurban.io.tables import SUFFIXES
+from jaxurban.io.tables import SUFFIXES, fingerprint
 from jaxurban.io.workspace import Workspace
 from jaxurban.metrics.weights import Weights, check_held
 from jaxurban.paths.cost_map import CostMap
@@ -45,7 +45,6 @@ from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.weight_fit import WeightFit, fit_weights
 
 TABLES = ("learning_curve", "weights", "examples", "targets", "tested")
-STATE_FILE, WEIGHTS_FILE = "fit-state.parquet", "weights.toml"
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
 
 
@@ -82,8 +81,6 @@ def run_tuning(
 ) -> dict[str, Any]:
     """Fit weights, write everything under ``folder``, and return the facts that ``--json`` prints.
 
-    A run that was interrupted goes on where it stopped; one that had finished ends at the same weights again.
-
     Args:
       sources: of each folder of maps the files of lines and tables of instances that lie on them; none where instances
         are sampled. All of them are fitted together.
@@ -95,8 +92,6 @@ def run_tuning(
       InputError: routes or maps that cannot be read or do not go together, a wrong setting, or a folder that holds
         another fit or other files, or cannot be written to.
     """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
     if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
         raise InputError(
             "every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)"
@@ -108,16 +103,23 @@ def run_tuning(
         of_cities = (_routes_on(source, files, settings) for source, files in sources.items())
         routes = list(chain.from_iterable(of_cities))
 
-        # The output folder, with the files that a fit may write there. Those of another fit are recognised by the state
-        # file, which holds the settings of its fit.
+        # The output folder, what identifies the fit there, and the files that it may write.
+        key = {
+            "routes": fingerprint(*(each.features for each in routes)),
+            "maps": [cost_map.maps.identity for cost_map in maps_of(each.query for each in routes)],
+            "targets": list(settings.targets),
+            "fit": dict(settings.fits),
+            "max_rounds": settings.fit.max_rounds,
+            "seed": settings.fit.seed,
+        }
         pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(routes))]
-        names = [STATE_FILE, *files_of([*TABLES, *pictures, WEIGHTS_FILE, REPORT_FILE])]
-        with Workspace.open(folder, "tune", names=names, overwrite=overwrite):
+        names = files_of([*TABLES, *pictures, REPORT_FILE])
+        with Workspace.open(folder, "tune", key, names=names, overwrite=overwrite):
             # The fit, to targets or to routes. Fits to routes leave those out that are held out from them.
             report("rounds")
             fit: WeightFit | TargetFit
             options = {"hold_out": None, **settings.fits}
-            settings_of_fit = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
+            settings_of_fit = replace(settings.fit, progress=report)
             if targets:
                 before = settings.pilot or Weights()
                 queries = [each.query for each in routes]
@@ -164,8 +166,7 @@ def _routes_on(
       settings: of the fit.
 
     Raises:
-      InputError: routes that are of no use on these maps, neither files nor sampled instances, or both, or no pilot who
-        flies these.
+      InputError: routes that are of no use on these maps, files beside sampled instances, or no pilot who flies these.
     """
     maps = source.open()
     pilot = settings.pilot
@@ -174,11 +175,6 @@ def _routes_on(
     elif settings.targets:
         pilot = Weights()
     if settings.sample is None:
-        if not files:
-            raise InputError(
-                f"there are no routes for the maps in {str(source.folder)!r}: name files of routes after it, as the "
-                "instances.parquet of a study, or sample instances (--sample)"
-            )
         routes: list[Demonstration] = []
         for file in files:
             is_table = file.suffix.lower() in SUFFIXES
@@ -215,7 +211,7 @@ def fit_report(
     planned: Sequence[Demonstration],
     texts: Mapping[str, str],
 ) -> ResultReport:
-    """Return what a fit writes, beside its report weights.toml.
+    """Return what a fit writes.
 
     Args:
       fit: the fit of the weights, to routes or to targets.
@@ -260,7 +256,7 @@ def fit_report(
         unit = "per cell entered"
     units = {"distance": "per metre"} | dict.fromkeys(first.names, unit)
     weights = weights.assign(unit=weights["name"].map(units))
-    others |= {"weights": weights, "examples": routes, WEIGHTS_FILE: weights_toml(fit, first)}
+    others |= {"weights": weights, "examples": routes}
     for name, cost_map in pictures.items():
         figures[name] = partial(plot_fitted_routes, demonstrated, planned, cost_map, vector, noun)
     setting = _setting([*pictures.values()])
@@ -332,19 +328,6 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "is_met": fit.is_met,
         "outcomes": fit.outcomes.reset_index().to_dict("records"),
     }
-
-
-def weights_toml(fit: WeightFit | TargetFit, cost_map: CostMap) -> str:
-    """Return a [weights] table for a scenario, with how to use it as comments."""
-    lines = [
-        f"# {fit.sentence}",
-        "# Weights fitted by `jaxurban tune`; report.md says how sure they are. Paste the table into a scenario.",
-        f"# They belong to the cost model {cost_map.cost_model.kind!r} {_where(cost_map)}: plan with",
-        f"#   --rules cost_model={cost_map.cost_model.kind} --weights {weights_option(fit.weights)}",
-        "[weights]",
-        *(f"{name} = {value:.6g}" for name, value in fit.weights.to_dict().items()),
-    ]
-    return "\n".join(lines) + "\n"
 
 
 def _where(cost_map: CostMap) -> str:

@@ -33,7 +33,6 @@ from jaxurban.studies.route_pool import (
     RoutePool,
     draw_pairs,
     known_route_sums,
-    pool_of_fit,
 )
 from jaxurban.studies.tuning.confidence import feature_units
 from jaxurban.studies.tuning.fenchel_young import adam
@@ -172,14 +171,7 @@ def fit_targets(
     held_out = list(itertools.compress(queries, is_held_out))
     every = tuple(queries)
     queries = list(itertools.compress(queries, ~is_held_out))
-    pool = pool_of_fit(
-        settings,
-        queries,
-        fit="targets",
-        targets=[str(target) for target in wanted],
-        max_rounds=settings.max_rounds,
-        start=None,
-    )
+    pool = RoutePool(queries)
 
     # [2, Q, K] features and integrals of the shortest routes, and the weights to begin with, under which each layer has
     # an equal share of the cost of the shortest routes.

@@ -164,18 +164,19 @@ def wish_conclusion(
                 few = FEWEST_GROUPS if row["n"] < FEWEST_GROUPS else 0
                 met.append(Verdict(WishVerdict.BEFORE, (label,), *already, few))
         size, low, high = (row[column] for column in interval_columns(name))
-        num_pairs, unit, noun = row["n"], row["unit"], PAIRS
         facts = {"largest": row["largest"]}
-        about = size, low, high, num_pairs, unit, noun, needed, facts
+        about = size, low, high, row["n"], row["unit"], PAIRS, needed, facts
         verdicts.append(Verdict(kind, (label,), *about))
     cost_map = queries[0].cost_map
+    altitudes_m = {query.cost_map.altitude_m for query in queries}
+    altitude = f"--altitude {cost_map.altitude_m:g} " if len(altitudes_m) == 1 else ""
     wishes = " ".join(f'--wish "{target}"' for target in targets)
     metrics = ",".join(cost_map.names)
     folder = cost_map.maps.folder or "DIR"
     return concluded(
         [*met, *verdicts],
         more=f"jaxurban tune {folder} --sample {{needed}} {wishes} --metrics {metrics} "
-        f"--altitude {cost_map.altitude_m:g} -o {folder}-wish",
+        f"{altitude}-o {folder}-wish",
         factor=len(queries) / (num_held_out or len(queries)),
         done=command_to_plan(queries[0], weights),
     )

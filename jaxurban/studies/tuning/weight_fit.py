@@ -63,7 +63,7 @@ class WeightFit:
       verdicts: what the demonstrations do not decide of the weights; ``unidentified`` has their sentences.
       warnings: further sentences that a reader must know.
       num_plans: number of searches made.
-      elapsed_s: wall time of this run; a resumed one takes its first searches from the state file.
+      elapsed_s: wall time.
       is_settled: whether the last round bettered no known route by more than 1e-5.
       is_held_out: ``[N]`` bool: the demonstrations that the weights were not fitted to.
       tested: by which share these cost more than the cheapest ones on average, with its interval over pairs of ends
@@ -130,9 +130,8 @@ class WeightFit:
 
     @property
     def cautions(self) -> list[str]:
-        """What the demonstrations cannot say: ``unidentified`` and ``warnings``, but for the ``sentence``."""
-        sentences = self.unidentified + self.warnings
-        return [sentence for sentence in sentences if sentence != self.sentence]
+        """What the demonstrations cannot say: ``unidentified`` and ``warnings``."""
+        return [*self.unidentified, *self.warnings]
 
     def __repr__(self) -> str:
         lines = [f"{name}: {text}" for name, text in self.decided.facts.items()]
@@ -212,7 +211,7 @@ def fit_weights(
     fit = FitUnderWay(demonstrations, is_fitted, settings)
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         curve, is_settled = run_rounds(fit, settings, begin_s, report)
-        regret = fit.searched_regret(fit.log_weights)
+        regret = searched_regret(fit.pool, fit.demo, fit.weights)
         best = fit.least_mean_regret(float(regret.mean()))
         draws, interval = refitted(fit, bootstrap)
 
@@ -244,8 +243,7 @@ def fit_weights(
     bar = float(np.where(drawn_cells, OPTIMAL_DRAWN_REGRET, OPTIMAL_REGRET).mean())
     metric_share = 1 - table.share_of_cost["distance"]
     verdict = _verdict_sentence(near_regret, bar, fit.trust, best, metric_share)
-    warnings = [verdict] if min(best, near_regret.mean()) > bar else []
-    warnings += _warning_sentences(demonstrations, len(names), fit.trust, is_settled)
+    warnings = _warning_sentences(demonstrations, len(names), fit.trust, is_settled)
 
     # The regret of those that are held out. One far above the usual one of those that were fitted is bad.
     fitted = weights_from(queries[0], table.weight.to_numpy())

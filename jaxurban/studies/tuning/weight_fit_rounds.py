@@ -8,10 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from jaxurban.io.tables import fingerprint
 from jaxurban.progress import Report
 from jaxurban.studies.demonstrations import Demonstration
-from jaxurban.studies.route_pool import FitSettings, RoutePool, pool_of_fit
+from jaxurban.studies.route_pool import FitSettings, RoutePool
 from jaxurban.studies.tuning.confidence import draw_counts, feature_units, near_optimal_range, refit
 from jaxurban.studies.tuning.fenchel_young import (
     FitTask,
@@ -65,9 +64,6 @@ class FitUnderWay:
           demonstrations: at least one.
           is_fitted: ``[K]`` whether each weight is fitted.
           settings: of the search.
-
-        Raises:
-          InputError: a state file that is damaged, or of another fit.
         """
         self.demonstrations = demonstrations
         queries = [each.query for each in demonstrations]
@@ -75,14 +71,7 @@ class FitUnderWay:
         self.is_fitted = is_fitted
         self.seed = settings.seed
         self.noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
-        self.pool = pool_of_fit(
-            settings,
-            queries,
-            [each.sums for each in demonstrations],
-            fit="imitation",
-            noise_rounds=self.noise_rounds,
-            demonstrations=fingerprint(self.demo),
-        )
+        self.pool = RoutePool(queries, [each.sums for each in demonstrations])
         self.unit: np.ndarray = np.where(is_fitted, feature_units(queries, self.demo), 1.0)
         self.log_weights = np.zeros(is_fitted.sum())
         self.trust = np.ones(len(queries))
@@ -167,10 +156,6 @@ class FitUnderWay:
             "num_plans": self.pool.num_plans,
         }
 
-    def searched_regret(self, log_weights: np.ndarray) -> np.ndarray:
-        """Return ``[Q]`` the regret of each demonstration under weights, against the cheapest route by search."""
-        return searched_regret(self.pool, self.demo, self.weights_of(log_weights))
-
     def task_without_noise(self) -> FitTask:
         """Return the task for what noise plays no part in, such as the regret; two noises are the fewest."""
         return self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
@@ -188,7 +173,8 @@ class FitUnderWay:
         for _ in range(REGRET_ROUNDS):
             task = self.task_without_noise()._replace(trust=jnp.ones(len(self.demo)))
             lowest, expected = descend(lowest, task, objective=mean_regret, num_steps=STEPS)
-            reached = float(self.searched_regret(np.asarray(lowest)).mean())
+            weights = self.weights_of(np.asarray(lowest))
+            reached = float(searched_regret(self.pool, self.demo, weights).mean())
             best = min(best, reached)
             if reached <= float(expected) + SETTLED:
                 break

@@ -1,1 +1,1 @@
-"""What would change a route, and what would not: gradients, breakpoints, Sobol indices, Pareto fronts."""
+"""What would change a route, and what would not: shares of the cost, breakpoints, regrets."""

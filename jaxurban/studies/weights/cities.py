@@ -5,6 +5,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
@@ -22,8 +23,7 @@ from jaxurban.studies.montecarlo.sampling import (
     weighed_metrics,
     weight_columns,
 )
-from jaxurban.studies.weights.routes import ROUTE_KEY, SEED, WeightsJob, seed_at
-from jaxurban.studies.weights.sobol import varied_columns
+from jaxurban.studies.weights.routes import ROUTE_KEY, WeightsJob, varied_columns
 
 
 class Cities(NamedTuple):
@@ -129,7 +129,7 @@ def open_cities(sources: Mapping[str, Source], job: WeightsJob, weights: Weights
 def routes_of_cities(
     cities: Cities, routes: QueriesLike | int, altitudes_m: Sequence[float] | None
 ) -> pd.DataFrame:
-    """Return the routes of all cities as instances with the columns ``city`` and `SEED`.
+    """Return the routes of all cities as instances with a column ``city``.
 
     There is a column for the weight of every metric of any city, with 0 where a city lacks the metric.
 
@@ -173,15 +173,14 @@ def routes_of_cities(
                 weights=[of_city],
                 cost_model=job.cost_model,
                 constraints=job.constraints,
-                seed=seed_at(settings.seed, number),
+                seed=int(
+                    np.random.SeedSequence(settings.seed, spawn_key=(number,)).generate_state(1)[0]
+                ),
             )
-        seeds = [seed_at(settings.seed, number, int(each)) % 2**31 for each in part.instance]
-        parts.append(part.assign(city=city, **{SEED: seeds}))
+        parts.append(part.assign(city=city))
 
-    # One table with a column for each weight. The draws of a single route have the seed of the study itself.
+    # One table with a column for each weight.
     table = pd.concat(parts, ignore_index=True)
-    if len(table) == 1:
-        table[SEED] = settings.seed
     no_weights = dict.fromkeys(weight_columns(cities.metrics), 0.0)
     columns = dict.fromkeys([*table, *no_weights])
     table = table.reindex(columns=list(columns)).fillna(no_weights)
@@ -232,20 +231,13 @@ def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
       routes: with a column ``city``, which may be missing where there is a single city.
       cities: names of the cities whose maps are there.
     """
-    cities = tuple(cities)
-    if routes.empty:
-        raise InputError("the table of routes has no rows: give at least one route")
-    if "city" not in routes:
-        if len(cities) > 1:
-            raise InputError(
-                "the routes lack the column 'city', which says on which of the maps each lies: add it"
-            )
-        return
-    named = dict.fromkeys(map(str, routes["city"]))
-    if named.keys() != {*cities}:
+    only, *others = cities
+    named = routes.get("city", pd.Series("" if others else only, routes.index)).astype(str).unique()
+    if {*named} != {only, *others}:
+        names = ", ".join(filter(None, named)) or "none"
         raise InputError(
-            f"the routes name the cities {', '.join(named)}, and the maps are of {', '.join(cities)}: give routes on "
-            "all of the maps, and maps for all of the routes"
+            f"the routes name the cities {names} (column 'city'), and the maps are of {', '.join([only, *others])}: "
+            "give routes on all of the maps, and maps for all of the routes"
         )
 
 

@@ -1,4 +1,4 @@
-"""What only a study of one route has: every route along the range of each weight, and what can be traded for what."""
+"""What only a study of one route has: every route along the range of each weight."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -16,10 +16,9 @@ from jaxurban.progress import Report
 from jaxurban.studies.demonstrations import overlap_of
 from jaxurban.studies.queries import RouteQuery, outcomes_of, weights_from
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.weights.breakpoints import Partition, find_breakpoints, pareto_front
+from jaxurban.studies.weights.breakpoints import WeightLine, find_breakpoints
 from jaxurban.studies.weights.paid import PAID, paid_on
-from jaxurban.studies.weights.routes import WeightsJob, query_of
-from jaxurban.studies.weights.sobol import varied_columns
+from jaxurban.studies.weights.routes import WeightsJob, query_of, varied_columns
 
 SAME_WAY = 0.5  # of a route's cells: one that keeps less of them goes another way
 MORE = [f"more_{name}" for name in PAID if name != "at_edge"]
@@ -37,13 +36,11 @@ class OneRoute:
       factors: the ends of the range of each weight, as multiples of it.
       features: ``[K]`` what the weights multiply on this route, which is the gradient of its cost by the weights.
       lines: of each varied weight, the routes along its range, the others as given.
-      front: routes that trade the objectives against each other.
       ways: where each weight, made less or more, sends the drone another way (`_ways`).
       line_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of its cells.
-      num_plans: number of searches made for lines and front.
 
     Examples:
-      >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
+      >>> quick = ju.studies.SensitivitySettings(vary=("gps",))
       >>> result = ju.studies.sensitivity(
       ...     maps, "why", [(start, goal)], altitudes_m=[60.0], settings=quick, progress=False
       ... )
@@ -56,11 +53,9 @@ class OneRoute:
     weights: np.ndarray
     factors: tuple[float, float]
     features: np.ndarray
-    lines: dict[str, Partition]
-    front: Partition
+    lines: dict[str, WeightLine]
     line_routes: dict[str, list[np.ndarray]]
     ways: pd.DataFrame
-    num_plans: int
 
     @typed
     def breakpoints(self, name: str) -> pd.DataFrame:
@@ -80,7 +75,7 @@ class OneRoute:
           InputError: the weight was not varied.
 
         Examples:
-          >>> quick = ju.studies.SensitivitySettings(vary=("gps",), num_samples=4, max_plans=20)
+          >>> quick = ju.studies.SensitivitySettings(vary=("gps",))
           >>> result = ju.studies.sensitivity(
           ...     maps, "why", [(start, goal)], altitudes_m=[60.0], settings=quick, progress=False
           ... )
@@ -110,13 +105,12 @@ class OneRoute:
 def one_route(cost_map: CostMap, instance: Row, job: WeightsJob, report: Report) -> OneRoute | None:
     """Return what the weights do to the route of an instance, exactly; None where no path joins its ends.
 
-    Along the range of each weight all breakpoints are found. The Pareto front can hold nearly as many routes as the
-    maps have cells, so there the tolerance leaves out routes that never save more than this share of the cost.
+    Along the range of each weight all breakpoints are found.
 
     Args:
       cost_map: at the instance's altitude and times.
       instance: its ends and weights.
-      job: which weights vary, how far, and the front.
+      job: which weights vary, and how far.
       report: gets the stage and the number of searches so far.
 
     Raises:
@@ -143,17 +137,6 @@ def one_route(cost_map: CostMap, instance: Row, job: WeightsJob, report: Report)
         on_plans = partial(report, f"breakpoints of {name}")
         lines[name] = find_breakpoints(pool, ends, on_plans=on_plans)
 
-    # And traded against each other: the Pareto front of the distance and of the two metrics with the largest shares of
-    # the cost.
-    shares = pd.Series(weights * features, names)[[name for name in columns if name != "distance"]]
-    largest = shares.sort_values(ascending=False, kind="stable").index[:2]
-    front = pareto_front(
-        pool,
-        ("distance", *largest),
-        tolerance=settings.tolerance,
-        max_plans=settings.max_plans,
-        on_plans=partial(report, "Pareto front"),
-    )
     report("routes")
     route = OneRoute(
         path=path,
@@ -162,15 +145,13 @@ def one_route(cost_map: CostMap, instance: Row, job: WeightsJob, report: Report)
         factors=settings.factors,
         features=features,
         lines=lines,
-        front=front,
         line_routes={name: _routes(query, line) for name, line in lines.items()},
         ways=pd.DataFrame(),
-        num_plans=pool.num_plans,
     )
     return replace(route, ways=_ways(route, cost_map))
 
 
-def _routes(query: RouteQuery, line: Partition) -> list[np.ndarray]:
+def _routes(query: RouteQuery, line: WeightLine) -> list[np.ndarray]:
     """Return the cheapest route in the middle of each cell of a line, each ``[N, 2]`` easting, northing in metres."""
     southwest_m = query.cost_map.grid.bounds_m[:2]
     with ThreadPoolExecutor() as threads:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxurban.checks import one_of
 from jaxurban.errors import InputError
 from jaxurban.io.tables import Row
 from jaxurban.paths.cost_map import CostMap
@@ -25,12 +26,10 @@ from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import nearest_breakpoints
 from jaxurban.studies.weights.paid import PAID, paid_on
 from jaxurban.studies.weights.settings import SensitivitySettings
-from jaxurban.studies.weights.sobol import OF_SHARE, sobol_of_weights, varied_columns
 
 ROUTE_KEY = ("city", *KEY)
-SEED = "seed"  # column of instances: of the draws of a route's Sobol indices
 SAME_SUMS = 1e-9  # relative: routes whose sums differ by less are one route
-# Columns of each weight, as "below:gps"; those of each weight and outcome are as "first:gps:length_m" (`OF_SHARE`).
+# Columns of each weight, as "below:gps".
 OF_WEIGHT = (
     "elasticity",
     "below",
@@ -50,19 +49,17 @@ class WeightsJob(RouteJob):
       settings: what is asked.
       snap: move an end that is not free to the nearest free cell: False never, True by at most 50 m, a number by at
         most this many metres.
-      num_threads: of the searches of a route; None: one a core.
       cost_model, constraints, preset: see `jaxurban.paths.rows.RouteRules`.
     """
 
     settings: SensitivitySettings
     snap: bool | float = False
-    num_threads: int | None = None
 
     key = ROUTE_KEY
 
     def to_dict(self) -> dict[str, Any]:
         """Return what decides a row, as plain, JSON-ready values."""
-        names = ("factors", "vary", "wrong", "num_samples", "seed")
+        names = ("factors", "vary", "wrong", "seed")
         asked = {name: getattr(self.settings, name) for name in names}
         return self.rules() | asked | {"snap": self.snap}
 
@@ -94,7 +91,7 @@ class WeightsJob(RouteJob):
             facts[f"elasticity:{name}"] = float(share)
 
         # How it changes with each weight that varies.
-        pool = RoutePool([query], workers=self.num_threads)
+        pool = RoutePool([query])
         columns = list(varied.values())
         nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
 
@@ -118,16 +115,37 @@ class WeightsJob(RouteJob):
                 f"{kind}:{name}": each for kind, each in zip(OF_WEIGHT[1:], values, strict=True)
             }
 
-        # The Sobol shares of its outcomes; the draws of each route have a seed of their own.
-        if settings.num_samples:
-            shares = sobol_of_weights(
-                pool, weights, columns, settings.factors, settings.num_samples, int(instance[SEED])
-            )
-            for share in shares.reset_index().to_dict("records"):
-                suffix = f"{share['factor']}:{share['outcome']}"
-                facts |= {f"{kind}:{suffix}": float(share[kind]) for kind in OF_SHARE}
         elapsed_s = time.perf_counter() - begin_s
         return [facts | {"num_plans": pool.num_plans + 2 * len(varied) + 1, "elapsed_s": elapsed_s}]
+
+
+def varied_columns(
+    names: Sequence[str], weights: np.ndarray, vary: Sequence[str], where: str = ""
+) -> dict[str, int]:
+    """Return the columns of the weights to vary, by name.
+
+    Args:
+      names: ``[K]`` of the weights, ``"distance"`` first.
+      weights: ``[K]``.
+      vary: names of the weights to vary; empty: all metrics whose weight is above 0.
+      where: ends "weight gps is 0" in an error, such as " on every route".
+
+    Raises:
+      InputError: no weight varies, or one is named that does not exist or is 0.
+    """
+    if not vary:
+        vary = [name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0]
+    if not vary:
+        raise InputError(
+            f"every metric has weight 0{where}, so nothing varies: give one a weight above 0, or name vary"
+        )
+    columns = {name: names.index(one_of("a weight that varies", name, names)) for name in vary}
+    for name, column in columns.items():
+        if not weights[column] > 0:
+            raise InputError(
+                f"weight {name} is 0{where}, which no factor changes: give it a value above 0, or do not vary it"
+            )
+    return columns
 
 
 def typed_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -142,9 +160,7 @@ def typed_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     For each weight that varies: ``below:NAME`` and ``above:NAME``, the nearest factors at which the route changes (NaN
     if none is within the range). ``regret_low:NAME`` and ``regret_high:NAME``, by which share a route costs more under
     the true weights if it is planned with this weight ``wrong`` times too small or too large, and what a user pays more
-    for the worse one of the two (``more_length_m:NAME`` and the like of `PAID`). ``first:NAME:OUTCOME``
-    and ``total:NAME:OUTCOME``, its Sobol shares of each outcome, with half the width of their 95 % intervals
-    (``first_ci``, ``total_ci``), unless no samples are asked for.
+    for the worse one of the two (``more_length_m:NAME`` and the like of `PAID`).
     """
     names = dict.fromkeys(name for row in rows for name in row)
     types = {"instance": "int64"} | dict.fromkeys(TEXTS, "object")
@@ -174,11 +190,6 @@ def query_of(
     query = RouteQuery(cost_map, start, goal, str(instance["instance"]))
     weights = np.array([float(instance[f"w_{name}"]) for name in query.names])
     return query, weights, ends
-
-
-def seed_at(seed: int, *place: int) -> int:
-    """Return the seed of draws at a place of a study: the number of a city, or of a city and a route."""
-    return int(np.random.SeedSequence(seed, spawn_key=place).generate_state(1)[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,8 +1,7 @@
 """What the rows of a weight study say together: means and medians over routes, cut many ways, each with its interval.
 
 Intervals are 95 % (of mean regrets some 90 %), by bootstrap over pairs of places within their cities, all altitudes of
-a pair drawn together: they are of these cities. From 8 cities on there is a second one, for which whole cities are
-drawn.
+a pair drawn together: they are of these cities.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,22 +12,14 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.paths.rows import HAS_PATH
-from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters, Interval, Statistic, named
+from jaxurban.statistics.bootstrap import Clusters, Statistic, named
 from jaxurban.studies.decided import FEWEST_RUNS
 from jaxurban.studies.weights.paid import PAID
 from jaxurban.studies.weights.routes import OF_WEIGHT, ROUTE_KEY
-from jaxurban.studies.weights.sobol import FEW_SAMPLES, OF_SHARE
 
 DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
 ALL = "all"
-CUTS = ("city", "altitude_m", "stratum", "range", "time", "time_of_day")
-OVER_CITIES = "over cities"
-CLEAR, UNCLEAR = "clear", "not distinguishable from 0"
-TOO_FEW, CONSTANT = "too few routes", "does not vary"
-UNRESOLVED = "not resolved"
-MOST_PERCENT = (
-    110  # no share is above 100 %: one whose interval reaches beyond this is not resolved
-)
+CUTS = ("city", "altitude_m", "range")
 MORE = [f"more_{name}" for name in PAID]
 HEIGHTS = "heights"  # the change of all draws of them
 CHANGED_STATISTICS = ("is_other", "overlap", "nominal_is_closed", "nominal_regret")
@@ -117,14 +108,9 @@ def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
 
 def parts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """Yield the parts of each cut that has two values or more, as `cuts_of`, however small they are."""
-    # The table with ``stratum``, each row once for each stratum that its route starts or ends in.
-    ends = [table.assign(stratum=table[name]) for name in ("start_stratum", "goal_stratum")]
-    both = pd.concat(ends).dropna(subset="stratum").reset_index()
-    strata = both.drop_duplicates(["index", "stratum"], ignore_index=True)
     for cut in CUTS:
-        source = strata if cut == "stratum" else table
-        if _differs(source, cut):
-            for value, part in source.groupby(cut, sort=True):
+        if table[cut].nunique() > 1:
+            for value, part in table.groupby(cut, sort=True):
                 yield cut, _text_of(value), part
 
 
@@ -137,13 +123,6 @@ def small_parts(table: pd.DataFrame) -> list[str]:
 def num_routes(table: pd.DataFrame) -> int:
     """Return how many routes a table of weights holds, each counted once."""
     return len(table.drop_duplicates([*ROUTE_KEY]))
-
-
-def _differs(table: pd.DataFrame, column: str) -> bool:
-    """Return whether a column has two values; times that differ between cities only say no more than the cities."""
-    if column in ("time", "time_of_day"):
-        return table.groupby("city")[column].nunique().max() > 1
-    return table[column].nunique() > 1
 
 
 def _text_of(value: Any) -> str:
@@ -159,8 +138,7 @@ def pairs_of(table: pd.DataFrame) -> Clusters:
 def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     """Return which weights matter where: a row for each part (``cut``, ``value``) of the routes and each weight.
 
-    Its columns are the sizes of the part and the statistics of `statistics_of` with their intervals. For all routes
-    together, in 8 cities or more, a second row ``over cities`` has intervals for which whole cities are drawn.
+    Its columns are the sizes of the part and the statistics of `statistics_of` with their intervals.
 
     Args:
       weights: from `weights_table`.
@@ -169,20 +147,11 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     rows = []
     for cut, value, part in cuts_of(weights):
         for name, of_weight in part.groupby("weight_name", sort=False):
-            # The groups that the bootstrap draws, for each row that is made of this part, by its cut and value.
-            draws = {(cut, value): pairs_of(of_weight)}
-            if cut == ALL and of_weight.city.nunique() >= FEWEST_GROUPS:
-                draws[OVER_CITIES, OVER_CITIES] = Clusters(of_weight.city)
-            for (drawn_cut, drawn_value), clusters in draws.items():
-                row = {
-                    "cut": drawn_cut,
-                    "value": drawn_value,
-                    "weight_name": name,
-                    **_sizes_of(of_weight),
-                }
-                for statistic, (values_of, average) in statistics_of(wrong).items():
-                    row |= named(statistic, clusters.interval(values_of(of_weight), average))
-                rows.append(row)
+            row = {"cut": cut, "value": value, "weight_name": name, **_sizes_of(of_weight)}
+            clusters = pairs_of(of_weight)
+            for statistic, (values_of, average) in statistics_of(wrong).items():
+                row |= named(statistic, clusters.interval(values_of(of_weight), average))
+            rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -193,83 +162,6 @@ def _sizes_of(part: pd.DataFrame) -> dict[str, float]:
         "pairs": part.groupby(["city", "instance"]).ngroups,
         "cities": part.city.nunique(),
     }
-
-
-def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
-    """Return the Sobol shares of every route: a row for each route, outcome and weight, with the columns `OF_SHARE`.
-
-    Without any share the table has these columns and no rows.
-
-    Args:
-      routes: from `routes_of`, which hold the shares side by side, as ``"first:gps:length_m"``.
-    """
-    # A table without rows stands first, for routes without shares. Each column ``first:NAME:OUTCOME`` then gives the
-    # rows of a weight and an outcome.
-    parts = [pd.DataFrame(columns=[*ROUTE_KEY, "outcome", "weight_name", *OF_SHARE])]
-    for column in map(str, routes.filter(regex="^first:")):
-        _, name, outcome = column.split(":")
-        shares = {kind: routes[f"{kind}:{name}:{outcome}"] for kind in OF_SHARE}
-        key = routes[list(ROUTE_KEY)]
-        parts.append(key.assign(outcome=outcome, weight_name=name, **shares))
-    return pd.concat(parts[1:] or parts, ignore_index=True)
-
-
-def summarise_shares(shares: pd.DataFrame, num_samples: int) -> pd.DataFrame:
-    """Return mean Sobol shares over routes: a row for each outcome, weight and kind, with a ``verdict`` in words.
-
-    Estimates of one route from few samples scatter about the truth, below 0 too, independently from route to route.
-    Their mean is nearer to the truth, and its interval holds both the scatter and how routes differ; of a single route
-    it is that of its own samples. A share whose interval reaches 0 is `UNCLEAR`, whatever its value. The verdict is on
-    the mean, not on one route: ``own_ci``, the median half-width of one route's interval, may be wider than the share
-    where the mean is `CLEAR`.
-
-    A share whose interval reaches beyond `MOST_PERCENT` is `UNRESOLVED`: on some routes the samples hardly
-    vary, and shares are divided by their small variance. ``samples_needed`` is then four times the number of samples,
-    and at least `FEW_SAMPLES`. That is the next step, not a bound, since the intervals cannot show what the samples
-    missed. Other shares, and their upper ends, are cut off at 1, and their ``samples_needed`` is NaN.
-
-    Args:
-      shares: from `shares_table`.
-      num_samples: N of each route's indices.
-    """
-    rows = []
-    for (outcome, name), part in shares.groupby(["outcome", "weight_name"], sort=False):
-        for kind in ("first", "total"):
-            known = part[part[kind].notna()]
-            share = pairs_of(known).interval(known[kind])
-            if len(known) == 1:  # the interval of this route's samples
-                value, half = known[[kind, f"{kind}_ci"]].to_numpy()[0]
-                share = Interval(value, value - half, value + half)
-            rows.append(
-                {
-                    "outcome": outcome,
-                    "weight_name": name,
-                    "kind": kind,
-                    "routes": len(known),
-                    **named("share", share),
-                    "own_ci": known[f"{kind}_ci"].median(),
-                    "verdict": _verdict(share, len(known)),
-                }
-            )
-
-    # What lies above 1 stays visible only where it is the reason for the verdict.
-    table = pd.DataFrame(rows)
-    is_unresolved = table.verdict == UNRESOLVED
-    for name in ("share", "share_high"):
-        table[name] = table[name].where(is_unresolved, table[name].clip(upper=1.0))
-    needed = max(4 * num_samples, FEW_SAMPLES)
-    return table.assign(samples_needed=np.where(is_unresolved, needed, np.nan))
-
-
-def _verdict(share: Interval, num_routes: int) -> str:
-    """Return the verdict on a mean share, over the routes on which the outcome varies (see `summarise_shares`)."""
-    if not num_routes:
-        return CONSTANT
-    if not np.isfinite(share.low):
-        return TOO_FEW
-    if 100 * share.high > MOST_PERCENT:
-        return UNRESOLVED
-    return CLEAR if share.low > 0 else UNCLEAR
 
 
 def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:

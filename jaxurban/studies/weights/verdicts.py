@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.statistics.bootstrap import Clusters
 from jaxurban.statistics.conclusions import Verdict, sized
-from jaxurban.studies.decided import Measure, border_verdict, effects, ranked
+from jaxurban.studies.decided import Measure, Ranking, border_verdict, effects, ranked
 from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.routes import ROUTE_KEY
 from jaxurban.studies.weights.settings import SensitivitySettings
-from jaxurban.studies.weights.summary import ALL, HEIGHTS
+from jaxurban.studies.weights.summary import ALL, HEIGHTS, pairs_of
 
 PAID_WORDS = {
     "more_length_m": "m of way",
@@ -72,6 +71,35 @@ def verdicts_of(
     return verdicts + border_verdict(tables["routes"].at_edge.dropna().to_numpy() > 0)
 
 
+def weight_ranking(weights: pd.DataFrame) -> Ranking | None:
+    """Return the weights in groups of ranks by their regrets, in % of the cost; None of fewer than two.
+
+    Weights that change no route, or that a city lacks, have no rank.
+
+    Args:
+      weights: a row per route and weight.
+    """
+    changes = _changes(weights)
+    regrets = _regrets(weights)
+    measure = Measure(regrets[changes.index[changes]].dropna(axis=1), OF_COST, is_better_high=True)
+    if measure.values.shape[1] < 2:
+        return None
+    return ranked({"regret": measure}, pairs_of(regrets.index.to_frame()))["regret"]
+
+
+def _changes(weights: pd.DataFrame) -> pd.Series:
+    """Return whether each weight that varies changes any route, by its name."""
+    varied = weights[weights.varies]
+    is_changed = varied[["below", "above"]].notna().any(axis=1)
+    return is_changed.groupby(varied.weight_name, sort=False).any()
+
+
+def _regrets(weights: pd.DataFrame) -> pd.DataFrame:
+    """Return the regrets of weights that vary, in % of the cost: a row per route and a column per weight."""
+    varied = weights[weights.varies]
+    return 100 * varied.pivot(index=[*ROUTE_KEY], columns="weight_name", values="regret")
+
+
 def _ranks(weights: pd.DataFrame, settings: SensitivitySettings) -> Iterator[Verdict]:
     """Yield how the weights rank, what each costs where it is wrong, and which change nothing.
 
@@ -79,32 +107,25 @@ def _ranks(weights: pd.DataFrame, settings: SensitivitySettings) -> Iterator[Ver
       weights: a row per route and weight.
       settings: of the study.
     """
-    # The weights that change any route, and those that change none, which have no rank.
-    varied = weights[weights.varies]
     wrong = {"wrong": settings.wrong}
-    is_changed = varied[["below", "above"]].notna().any(axis=1)
-    changes = is_changed.groupby(varied.weight_name, sort=False).any()
-    names = changes.index[changes].tolist()
-    dead = changes.index[~changes].tolist()
-
-    # The regrets, in %, a row per route and a column per weight. Weights that a city lacks have no rank.
-    regrets = 100 * varied.pivot(index=[*ROUTE_KEY], columns="weight_name", values="regret")
-    keys = regrets.index.to_frame()
-    clusters = Clusters(keys.instance, keys.city)
-    measure = Measure(regrets[names].dropna(axis=1), OF_COST, is_better_high=True)
-    if measure.values.shape[1] > 1:
-        ranking = ranked({"regret": measure}, clusters)["regret"]
+    ranking = weight_ranking(weights)
+    if ranking is not None:
         kinds = WeightVerdict.MATTERS_MORE, "routes", WeightVerdict.TIED
         for verdict in ranking.verdicts(*kinds):
             yield replace(verdict, facts={**verdict.facts, **wrong})
 
-    # No regret is below 0; one whose interval reaches 0 is not decided.
-    costs = effects(regrets, clusters).loc[names].sort_values("size", ascending=False)
+    # The weights that change any route, and those that change none. No regret is below 0; one whose interval reaches 0
+    # is not decided.
+    changes = _changes(weights)
+    dead = changes.index[~changes].tolist()
+    varied = weights[weights.varies]
+    regrets = _regrets(weights)
+    costs = effects(regrets, pairs_of(regrets.index.to_frame())).loc[changes.index[changes]]
+    costs = costs.sort_values("size", ascending=False)
     rows: Any = costs.assign(low=costs.low.clip(lower=0)).itertuples()
     for row in rows:
         of_weight = varied[varied.weight_name == row.Index]
-        drawn = Clusters(of_weight.instance, of_weight.city)
-        facts = wrong | {"paid": paid_on_average(of_weight, drawn)}
+        facts = wrong | {"paid": paid_on_average(of_weight)}
         about = row.size, row.low, row.high, row.n, "%", "routes", row.needed
         yield Verdict(WeightVerdict.COSTS, (row.Index,), *about, facts)
     if dead:
@@ -151,9 +172,10 @@ def _range(settings: SensitivitySettings) -> dict[str, float]:
     return {"low": low, "high": high}
 
 
-def paid_on_average(rows: pd.DataFrame, clusters: Clusters) -> str:
+def paid_on_average(rows: pd.DataFrame) -> str:
     """Return the mean of what a user pays more, in words: that of which the interval excludes 0."""
     words = []
+    clusters = pairs_of(rows)
     for name, unit in PAID_WORDS.items():
         size, low, high = clusters.interval(rows[name])
         if low > 0 or high < 0:
