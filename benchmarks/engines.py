@@ -21,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from unittest.mock import patch
 
 import geopandas as gpd
 import jax
@@ -32,6 +33,7 @@ import shapely
 import jaxurban as ju
 from benchmarks.common import ROOT, machine, table
 from benchmarks.workloads import DATA, LEAST_S, SCENARIOS
+from jaxurban.maps.params import MapParams
 
 COMPILE = "/jax/core/compile/backend_compile_duration"  # also of programs that are loaded
 PROGRAMS = "programs"
@@ -136,17 +138,11 @@ def on_disk(scenario: str) -> Job:
 
         def work() -> None:
             with tempfile.TemporaryDirectory(dir=folder) as out:
-                sys.argv = [
-                    "",
-                    "maps",
-                    "scenario.toml",
-                    "-o",
-                    f"{out}/maps",
-                    "--set",
-                    f'region.engine="{engine}"',
-                ]
+                sys.argv = ["", "maps", "scenario.toml", "-o", f"{out}/maps"]
+                params = partial(MapParams, engine=engine)
                 try:
-                    runpy.run_module("jaxurban", run_name="__main__")
+                    with patch("jaxurban.maps.scenario.MapParams", params):
+                        runpy.run_module("jaxurban", run_name="__main__")
                 except SystemExit as ended:
                     if ended.code:
                         raise

@@ -258,13 +258,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         # The study is in its folder, so that it is read, not run, unless some rows are missing.
         scenario = Scenario.from_toml(options.scenario, options.changes)
-        kind = scenario.study.cost_model or scenario.planning.rules.cost_model
         result = study(
             MapsFolder(options.folder, scenario.region.resolution_m[0]),
             options.folder / "study",
             read_instances(options.folder / "study" / INSTANCES_FILE),
             settings=without_sampling(scenario.study),
-            cost_model=CostModel.from_settings(vars(scenario.planning) | {"cost_model": kind}),
+            cost_model=CostModel(scenario.planning.rules.cost_model),
             constraints=Constraints().under(scenario.planning, scenario.vehicle),
         )
         counts = export_benchmark(

@@ -16,6 +16,7 @@ from jaxurban.maps.params import MapParams
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.protection import (
+    IntegritySupport,
     Protection,
     levels_of_satellites,
     protection_maps,
@@ -28,6 +29,7 @@ DISTRICT = replace(TOKYO, name="Tokyo", bounds=(139.680, 35.655, 139.785, 35.720
 GALILEO = TOKYO.orbits.with_name("galileo_2018-12-19.tle")
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 PARAMS = Protection()
+ISD = IntegritySupport()
 NEAR_M = (
     1000.0  # levels beyond are those of satellites that all but leave the position undetermined
 )
@@ -65,14 +67,14 @@ def measure(_: Scene, num_runs: int) -> list[Row]:
     place = DISTRICT if DISTRICT.is_here else SYNTHETIC
     is_obstacle, [(words, in_view)] = views(place, ALTITUDE_M, RESOLUTION_M, [place.time])
     patterns, _ = distinct_choices(words, is_obstacle)
-    peer = Peer(ranging_of(in_view, PARAMS), in_view.systems, PARAMS.budget)
+    peer = Peer(ranging_of(in_view, ISD), in_view.systems, ISD.budget)
     sides = {
         "ours": clocked(lambda: protection_maps(words, is_obstacle, in_view, PARAMS)),
-        "levels": clocked(lambda: levels_of_satellites(in_view, PARAMS, patterns)),
+        "levels": clocked(lambda: levels_of_satellites(in_view, ISD, patterns)),
         "sidereon": clocked(lambda: peer.levels(patterns)),
     }
     times = in_turn(sides, num_runs)
-    ours, theirs = levels_of_satellites(in_view, PARAMS, patterns), peer.levels(patterns)
+    ours, theirs = levels_of_satellites(in_view, ISD, patterns), peer.levels(patterns)
     is_near = np.isfinite(theirs) & (theirs < NEAR_M)
     apart_m = np.abs(ours[is_near] - theirs[is_near]).max()
     num_other = int((np.isfinite(ours) != np.isfinite(theirs)).any(axis=0).sum())

@@ -2,10 +2,13 @@
 
 import inspect
 import os
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
+from typing import Literal
 
 MOST_SAID = 300  # characters of what a library says that a message passes on
 MOST_OF_END = 1000  # characters of a message at its begin and at its end: a file may hold a text of any length
@@ -18,6 +21,55 @@ OF_PYTHON = {
 }
 
 
+Door = Literal["python", "scenario"]  # by which a user came in; a command speaks as a scenario does
+_DOOR: ContextVar[Door] = ContextVar("door", default="python")
+# Sections of a scenario whose values are a class in Python, by their names there where these differ.
+SECTIONS = (
+    "buildings|terrain|vegetation|obstacles|gps|lidar|population|risk|vehicle|gps_floor|study"
+)
+MAKERS = {"gps_floor": "metrics.GpsFloor", "study": "studies.Study"}
+# ``[section] key``, with `` = value`` or without.
+KEY = re.compile(
+    rf"""\[({SECTIONS})\] (\w+)(?: = ("[^"]*"|'[^']*'|\[[^]]*\]|\{{[^}}]*\}}|[\w.]+))?"""
+)
+# In brackets: options before arguments, arguments behind options, and options alone with their bracket.
+BEFORE_ARGUMENTS = re.compile(r"(--[\w-]+[,;] )+(?=\w+=[,;)])")
+ARGUMENTS = re.compile(r"[,;] \w+=(?=[,;)])")
+OPTIONS = re.compile(r" \(--[^()]*\)")
+
+
+@contextmanager
+def speaking(door: Door) -> Iterator[None]:
+    """Let messages within the block speak the words of a door; a function may be decorated with it too."""
+    token = _DOOR.set(door)
+    try:
+        yield
+    finally:
+        _DOOR.reset(token)
+
+
+def in_words(sentence: str) -> str:
+    """Return a sentence in the words of the door that was used; one that is in them comes back as it is.
+
+    Args:
+      sentence: names settings as a scenario does, ``[gps] orbits``, and options behind what they stand for, in
+        brackets: ``resolution_m (--resolution)``, or with the argument, ``(--pilot, pilot=)``.
+
+    Returns:
+      The sentence; for Python keys are arguments, as ``ju.Gps(orbits=...)``, and there are no options.
+    """
+    if _DOOR.get() == "scenario":
+        return ARGUMENTS.sub("", sentence)
+    sentence = KEY.sub(_argument, sentence.replace("[region] ", ""))
+    return OPTIONS.sub("", BEFORE_ARGUMENTS.sub("", sentence))
+
+
+def _argument(found: re.Match) -> str:
+    """Return a key of a section as Python's argument."""
+    section, key, value = found.groups()
+    return f"ju.{MAKERS.get(section, section.capitalize())}({key}={value or '...'})"
+
+
 class JaxurbanError(Exception):
     """The root of every exception that jaxurban raises on purpose.
 
@@ -28,6 +80,9 @@ class JaxurbanError(Exception):
       ...     print(error)
       there are no maps for altitude 500 m: these maps reach from 20 to 60 m
     """
+
+    def __init__(self, sentence: str = "") -> None:
+        super().__init__(in_words(sentence))
 
     def __str__(self) -> str:
         text = super().__str__()
@@ -95,7 +150,7 @@ def warn(sentence: str, category: type[Warning] = UserWarning) -> None:
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == package:
         frame = frame.f_back
         stacklevel += 1
-    warnings.warn(sentence, category, stacklevel=stacklevel)
+    warnings.warn(in_words(sentence), category, stacklevel=stacklevel)
 
 
 def platform_remedy(error: BaseException) -> str:

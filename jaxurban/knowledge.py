@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import Any, Literal
 
-from jaxurban.errors import GuessWarning, warn
+from jaxurban.errors import GuessWarning, in_words, warn
 
 LEAST_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
 HIGHEST_M = 828.0  # Burj Khalifa, the highest building of the world
@@ -48,7 +48,7 @@ class GuessKind(Enum):
     )
     HIGHEST_SAID = (
         "unknown heights up to highest_m = {highest_m}",
-        "what has no known height is taken to end at highest_m = {highest_m} of [buildings], and routes and checks "
+        "what has no known height is taken to end at [buildings] highest_m = {highest_m}, and routes and checks "
         "rest on that: leave it out where you are not sure",
     )
     HIGH_ROOFS = (
@@ -211,7 +211,7 @@ class Guess:
     @property
     def sentence(self) -> str:
         """The guess with its remedy."""
-        return self._with_facts(self.kind.value[1])
+        return in_words(self._with_facts(self.kind.value[1]))
 
     def _with_facts(self, words: str) -> str:
         """Return words with the record's own facts in their places."""
@@ -316,7 +316,7 @@ class Caution(str):
 
     def __new__(cls, text: str, level: Level = "note", kind: CautionKind = "other") -> "Caution":
         """Return a sentence with its level and kind."""
-        caution = super().__new__(cls, text)
+        caution = super().__new__(cls, in_words(text))
         caution.level = level
         caution.kind = kind
         return caution

@@ -160,16 +160,14 @@ class HeightStd:
 @typed
 @dataclass(frozen=True, kw_only=True)
 class Heights:
-    """How roofs are rasterised, and how far maps spread as building heights are not known exactly.
+    """How far maps spread as building heights are not known exactly.
 
     Attributes:
-      all_touched: let a roof cover every cell it touches.
       height_std_m: how well heights are known.
       height_samples: draws of heights over which the spread of the metrics is made too; 0: none.
-      height_seed: seed of the draws.
 
     Raises:
-      InputError: a number of samples that makes no spread, or an invalid seed.
+      InputError: a number of samples that makes no spread.
 
     Examples:
       >>> heights = ju.Heights(height_samples=4)
@@ -178,10 +176,8 @@ class Heights:
       ['gps_std', 'lidar_std', 'risk_std']
     """
 
-    all_touched: bool = False
     height_std_m: HeightStd = field(default_factory=HeightStd)
     height_samples: int = 0
-    height_seed: int = 0
 
     def __post_init__(self) -> None:
         if self.height_samples != 0 and not 2 <= self.height_samples <= MOST_SAMPLES:
@@ -189,7 +185,6 @@ class Heights:
                 f"height_samples must be 0, for none, or from 2 to {MOST_SAMPLES:,} (each makes all maps again, and a "
                 f"tenth of them are held in memory), got {self.height_samples}"
             )
-        at_least("height_seed", self.height_seed)
 
 
 @typed
@@ -211,8 +206,8 @@ class Buildings(Heights):
       highest_m: what no building of unknown height exceeds there, as far as you know, or by kind, such as
         ``{"building": 40.0, "tree": 25.0}``; paths and checks rest on it. Left out, the bounds of the table of kinds.
       level_height_m: height of one level.
-      allow_none: accept a region without a single building.
-      allow_high: accept heights that look like elevations: of towers alone, or above that of the ground.
+      allow: ``"none"`` accepts a region without a single building, ``"high"`` heights that look like elevations: of
+        towers alone, or above that of the ground.
       hanging: ``"slabs"``: parts above an underside and areas of bridges hang over the ground (see the page on the
         model); ``"to_ground"``: they reach it.
       credit: what the licence of the file asks for; OSM's is known.
@@ -238,8 +233,7 @@ class Buildings(Heights):
     kind: Literal["height", "surface"] = "height"
     default_height_m: float | None = None
     level_height_m: float = 3.0
-    allow_none: bool = False
-    allow_high: bool = False
+    allow: tuple[Literal["none", "high"], ...] = ()
     hanging: Hanging = TO_GROUND
     credit: str = ""
     height_column: str | None = None
@@ -347,20 +341,18 @@ class Planning:
     Attributes:
       preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance where those are left out.
       planner: ``"ptp"``, ``"astar"``, ``"theta-star"`` ...
-      cost_model: how steps are costed (`jaxurban.planners.cost.CostModel`); left out: ``"line"``.
+      cost_model: kind of `jaxurban.CostModel`; left out: ``"line"``.
       obstacles: where planners may fly (`jaxurban.maps.metric_maps.MetricMaps`); left out: ``"touched"``.
       clearance_m: horizontal distance from buildings as high as the path; left out: 0 m.
       vertical_clearance_m: height over roofs; left out: 3 m.
       unknown_heights: how high roofs of unknown height count: ``"highest"``, their bound; ``"likely"``, what 99 % of
         their kind keep below; ``"guess"``, no more than the guess that the maps show. Left out: ``"likely"``, and
         ``"highest"`` in what the command ``plan`` writes to be flown.
-      objective: ``"weighted"``, or ``"distance"`` for the shortest path.
-      connectivity, diagonal, reference_length_m: of the cost model.
       budget_s: seconds that a search may take.
       seed: of sampling planners.
 
     Raises:
-      InputError: an unknown preset, a clearance below 0, a length or a budget that is not above 0, or a seed below 0.
+      InputError: an unknown preset, a clearance below 0, a budget that is not above 0, or a seed below 0.
 
     Examples:
       >>> planning = ju.Planning(preset="paper", clearance_m=5.0)
@@ -375,10 +367,6 @@ class Planning:
     clearance_m: float | None = None
     vertical_clearance_m: float | None = None
     unknown_heights: UnknownHeights | None = None
-    objective: Objective = "weighted"
-    connectivity: Literal[4, 8] = 8
-    diagonal: Diagonal = "both-free"
-    reference_length_m: float = 5.0
     budget_s: float = 10.0
     seed: int = 0
 
@@ -388,7 +376,6 @@ class Planning:
             metres = getattr(self, name)
             if metres is not None:  # None: left out
                 not_negative(name, metres)
-        positive("reference_length_m", self.reference_length_m)
         if not self.budget_s > 0:
             raise InputError(f"budget_s must be a positive number of seconds, got {self.budget_s}")
         at_least("seed", self.seed)
@@ -415,28 +402,25 @@ DEFAULTS = Planning()
 class Vehicle:
     """What flies, as ``[vehicle]`` of a scenario says it; what is left out sets no limit.
 
-    Every route keeps the radius beside the clearance. Climbs, descents and turns beyond the limits are reported only
-    (by `cautions`, and in the time of `explain`), since a multirotor slows down for them and may then fly them all.
+    Climbs, descents and turns beyond the limits are reported only (by `cautions`, and in the time of `explain`), as a
+    multirotor slows down for them and may then fly them all. Its radius belongs to the clearance.
 
     Attributes:
-      radius_m: from its middle to its outermost point, seen from above.
       max_climb_m_s, max_descent_m_s: fastest change of height.
       max_turn_deg: sharpest change of heading at one waypoint without slowing down.
       speed_m_s: along the route, in cruise.
       power_w: mean electrical power in flight.
 
     Raises:
-      InputError: a value that is not a positive number (of the radius: not a number from 0 up), a turn above 180
-        degrees, or a power without a speed.
+      InputError: a value that is not a positive number, a turn above 180 degrees, or a power without a speed.
 
     Examples:
-      >>> constraints = ju.Constraints.read(vehicle=ju.Vehicle(radius_m=0.5, speed_m_s=10.0))
+      >>> constraints = ju.Constraints.read(vehicle=ju.Vehicle(speed_m_s=10.0))
       >>> planned = ju.plan(maps, start, goal, altitude_m=60.0, constraints=constraints)
-      >>> planned.settings["limits"]["vehicle_radius_m"]
-      0.5
+      >>> planned.settings["limits"]["vehicle_speed_m_s"]
+      10.0
     """
 
-    radius_m: float = 0.0
     max_climb_m_s: float | None = None
     max_descent_m_s: float | None = None
     max_turn_deg: float | None = None
@@ -445,10 +429,7 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         """Check the numbers, and make them floats."""
-        # The radius, which may be 0, and the limits, which may be left out.
-        object.__setattr__(self, "radius_m", not_negative("radius_m", self.radius_m))
-        _, *limits = fields(self)
-        for limit in limits:
+        for limit in fields(self):
             value = getattr(self, limit.name)
             if value is not None:
                 object.__setattr__(self, limit.name, positive(limit.name, value))
@@ -458,7 +439,7 @@ class Vehicle:
             )
         if self.power_w is not None and self.speed_m_s is None:
             raise InputError(
-                "power_w gives an energy only over a time: give the speed (speed_m_s, in `[vehicle]` or --report) too"
+                "power_w gives an energy only over a time: give the speed too, speed_m_s (--report)"
             )
 
     @classmethod
@@ -482,11 +463,11 @@ class Vehicle:
         """Return the vehicle as plain values; empty where nothing is known of it.
 
         Returns:
-          The values by name, in the units of the attributes; a radius of 0 is left out.
+          The values by name, in the units of the attributes.
 
         Examples:
-          >>> ju.Vehicle(radius_m=0.5, speed_m_s=10.0).to_dict()
-          {'vehicle_radius_m': 0.5, 'vehicle_speed_m_s': 10.0}
+          >>> ju.Vehicle(speed_m_s=10.0).to_dict()
+          {'vehicle_speed_m_s': 10.0}
         """
         named = {item.name: getattr(self, item.name) for item in fields(self)}
         return {PREFIX + name: float(value) for name, value in named.items() if value}

@@ -1,6 +1,7 @@
 from jaxurban.flights.check_result import MissionCheck as MissionCheck
 from jaxurban.flights.return_altitude import ReturnAltitude as ReturnAltitude
 from jaxurban.maps.differentiable import SoftCity as SoftCity
+from jaxurban.metrics.protection import IntegritySupport as IntegritySupport
 from jaxurban.paths.cost_map import CostMap as CostMap
 from jaxurban.paths.path import PlannedPath as PlannedPath
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths

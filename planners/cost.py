@@ -17,7 +17,7 @@ from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import are_clear
 from jaxurban.kernels.line.traversal import Crossings, crossed_cells, is_free_way
 from jaxurban.kernels.tolerances import SAME_LENGTH
-from jaxurban.settings import DEFAULTS, CostKind, Diagonal, Rules
+from jaxurban.settings import CostKind, Diagonal, Rules
 
 if TYPE_CHECKING:
     from jaxurban.planners.base import Problem
@@ -51,9 +51,9 @@ class CostModel:
     """
 
     kind: CostKind = Rules.cost_model
-    reference_length_m: float = DEFAULTS.reference_length_m
-    connectivity: Literal[4, 8] = DEFAULTS.connectivity
-    diagonal: Diagonal = DEFAULTS.diagonal
+    reference_length_m: float = 5.0
+    connectivity: Literal[4, 8] = 8
+    diagonal: Diagonal = "both-free"
 
     def __post_init__(self) -> None:
         """Keep the reference length as a float, and raise InputError if it is not positive."""
@@ -76,7 +76,7 @@ class CostModel:
     @classmethod
     @typed
     def from_settings(cls, settings: Mapping[str, Any]) -> "CostModel":
-        """Return the model that settings give, named as `CostModel.settings` names them in scenarios and paths.
+        """Return the model that settings give, named as `CostModel.settings` names them in paths.
 
         Returns:
           `CostModel`; what the settings leave out is the default, and their other entries are ignored.
@@ -98,7 +98,7 @@ class CostModel:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The model under the names of its parts in scenarios and files, ``kind`` as ``cost_model``."""
+        """The model under the names of its parts in files, ``kind`` as ``cost_model``."""
         parts = asdict(self)
         return {"cost_model": parts.pop("kind"), **parts}
 

@@ -113,7 +113,7 @@ def check_line_model(problem: Problem, what: str) -> None:
     if not problem.is_by_length:
         raise InputError(
             f"{what} weighs straight segments of any direction by the length in each cell, which is not how "
-            "cost_model='cell' counts: choose cost_model='line' (--rules cost_model=line)"
+            "cost_model='cell' counts: choose cost_model='line' (without --preset paper)"
         )
 
 

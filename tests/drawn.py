@@ -169,7 +169,9 @@ def _checked(is_hard: bool):
     xy_m = np.column_stack(grid.xy_of_cell(rows, cols))
     path = replace(make_path(maps, "p"), xy_m=xy_m, z_m=np.full(num, 20.0))
     lonlat = np.stack(grid.lonlat_of_xy(*xy_m.T), axis=-1)
-    return ju.check(maps, replace(path, lonlat=lonlat), clearance_m=30.0)
+    return ju.check(
+        maps, replace(path, lonlat=lonlat), constraints=ju.Constraints(clearance_m=30.0)
+    )
 
 
 def _mission(plot, case: Case) -> Figure:

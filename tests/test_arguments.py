@@ -34,7 +34,7 @@ pytestmark = [
 pytestmark.append(pytest.mark.usefixtures("blank_pictures"))
 TWO_SYSTEMS = ("sample:shinjuku/gps.tle", "sample:shinjuku/galileo.tle")
 TOKYO = {"orbits": TWO_SYSTEMS, "times": "2018-12-19T03:00:00Z"}
-SERIES = {"start": "2020-04-27T16:00:00Z", "stop": "2020-04-27T18:00:00Z", "step_s": 3600}
+SERIES = ("2020-04-27T16:00:00Z", "2020-04-27T18:00:00Z")
 LEVELS = ju.Levels()
 SMALL = {"resolution_m": 50.0, "altitudes_m": (20.0,)}
 
@@ -68,10 +68,8 @@ SEARCH = {
     "exposure": {"lidar": 1.0},
 }
 HEIGHTS = {
-    "all_touched": True,
     "height_std_m": Case(ju.HeightStd(height=9.0), {"height_samples": 2}),
     "height_samples": 2,
-    "height_seed": Case(3, {"height_samples": 2}),
 }
 SECTIONS = {
     "gps": ju.Gps(mask_deg=40.0),
@@ -328,6 +326,9 @@ USES: dict[str, Callable[..., Any]] = {
     "Dop": lambda **given: made(gps_horizontal=ju.metrics.Dop(**given)),
     "GpsFloor": lambda **given: made(gps_floor=ju.metrics.GpsFloor(**given)),
     "Protection": protected,
+    "IntegritySupport": lambda gps=None, **given: protected(
+        isd=ju.typing.IntegritySupport(**given), gps=gps or ju.Gps()
+    ),
     "MapsFolder": lambda **given: ju.studies.MapsFolder(
         home() / "maps", **{"resolution_m": 20.0} | given
     ).open(),
@@ -367,8 +368,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "kind": Case("surface", refused="surface"),
         "default_height_m": 50.0,
         "level_height_m": 9.0,
-        "allow_none": Case(True, {"bounds": (-73.9, 40.7, -73.899, 40.701)}),
-        "allow_high": Same("of fewer than 20 buildings no heights are refused as elevations"),
+        "allow": Case(("none",), {"bounds": (-73.9, 40.7, -73.899, 40.701)}),
         "hanging": "slabs",
         "credit": "a surveyor",
         "height_column": Case("height", refused="height_column and unit go together"),
@@ -395,7 +395,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "bounds": ju.Constraints.read(require=["lidar>=0.1"]).bounds,
         "clearance_m": 25.0,
         "vertical_clearance_m": 15.0,
-        "vehicle": ju.Vehicle(radius_m=20.0),
+        "vehicle": ju.Vehicle(speed_m_s=20.0),
         "unknown_heights": "highest",
         "above_gps_floor": WITHOUT_FLOOR,
     },
@@ -404,7 +404,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "require": ["lidar>=0.1"],
         "clearance_m": 25.0,
         "vertical_clearance_m": 15.0,
-        "vehicle": ju.Vehicle(radius_m=20.0),
+        "vehicle": ju.Vehicle(speed_m_s=20.0),
         "unknown_heights": "highest",
     },
     "CostMap.plan": SEARCH,
@@ -422,7 +422,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "clocks": Case("one", TOKYO),
         "orbits": Case(TWO_SYSTEMS, without("orbits", TOKYO)),
         "times": LATER,
-        **{name: Case(value, without(name, SERIES)) for name, value in SERIES.items()},
+        "step_s": Case(3600, {"times": SERIES}),
         "mask_deg": 40.0,
         "max_age_days": Case(0.01, TOKYO, refused="days"),
         "reference": (-60.0, 50.0),
@@ -482,10 +482,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "clearance_m": 15.0,
         "vertical_clearance_m": 15.0,
         "unknown_heights": "highest",
-        "objective": "distance",
-        "connectivity": 4,
-        "diagonal": "always",
-        "reference_length_m": 50.0,
         "budget_s": 9.0,
         "seed": 5,
     },
@@ -528,7 +524,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "resolution_m": 25.0,
         "altitudes_m": [60.0],
         "oversample": 3,
-        "engine": ENGINE,
     },
     "Risk": {"threshold_m": 5.0, "distance": "solid"},
     "Scenario.from_toml": {"changes": ["gps.mask_deg=50"]},
@@ -540,7 +535,6 @@ TABLE: dict[str, dict[str, Any]] = {
     "Terrain": {"source": lambda: home() / "ground.tif", "credit": "a surveyor"},
     "Vegetation": {"source": lambda: home() / "canopy.tif", "credit": "a surveyor"},
     "Vehicle": {
-        "radius_m": 5.0,
         "max_climb_m_s": 0.1,
         "max_descent_m_s": Case(0.1, {}),
         "max_turn_deg": 5.0,
@@ -556,7 +550,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "resolution_m": 40.0,
         "altitudes_m": (60.0,),
         "oversample": 3,
-        "heights": ju.Heights(all_touched=True),
+        "heights": ju.Heights(height_samples=2),
         "layers": lambda: {"noise": ju.Layer(np.zeros(made_shape()), "high-is-bad", (0.0, 1.0))},
         "engine": ENGINE,
         "progress": PROGRESS,
@@ -574,15 +568,11 @@ TABLE: dict[str, dict[str, Any]] = {
             90.0, {"mission": lambda: on.path().save(on.a_file("back.plan"), end="return")}
         ),
         "geoid_m": Case(-33.0, {"mission": lambda: on.a_mission(".kml"), "heights": "ellipsoid"}),
-        "no_fly": lambda: home() / "zone.geojson",
         "constraints": zone,
-        "clearance_m": 60.0,
-        "vertical_clearance_m": 30.0,
         "time": LATER,
         "time_of_day": "night",
         "max_no_fix_m": 0.5,
         "max_people": 0.001,
-        "swath_m": 90.0,
         "ceiling_m": 2,
         "sources": Case(
             "no/such/folder", {"mission": lambda: over_few(), "maps": lambda: few_maps()}
@@ -607,7 +597,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "power_w": Case(90.0, {"speed_m_s": 5.0}),
         "swath_m": 50.0,
         "num_segments": 3,
-        "density": lambda: ju.overflown_density(on.maps(), on.path(), half_width_m=20.0),
     },
     "open_maps": {"resolution_m": 40.0, "obstacles": "centre"},
     "overflown_density": {
@@ -689,6 +678,9 @@ TABLE: dict[str, dict[str, Any]] = {
     "Protection": {
         "horizontal_alert_limit_m": 60.0,
         "vertical_alert_limit_m": 1.0,
+        "isd": ju.typing.IntegritySupport(sigma_ura_m=5.0),
+    },
+    "IntegritySupport": {
         "sigma_ura_m": 5.0,
         "sigma_ure_m": 5.0,
         "bias_m": 5.0,
@@ -725,7 +717,6 @@ TABLE: dict[str, dict[str, Any]] = {
         "altitudes_m": [60.0],
         "land_cover": Case("town.osm", refused="land_cover"),
         "weights": (ju.Weights(risk=9.0),),
-        "cost_model": "cell",
         "budget_s": 1e-9,
         "budget_iterations": 50,
         "seed": 3,
@@ -880,8 +871,6 @@ OF_ROUTE = {
     "--rules clearance_m": "25",
     "--rules vertical_clearance_m": "15",
     "--rules unknown_heights": "highest",
-    "--rules obstacles": "centre",
-    "--rules cost_model": "cell",
     "--snap": "1",
 }
 OF_CORRIDOR = {
@@ -903,7 +892,6 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "plan": (
         ("{home}/maps", *ROUTE, "--planner=budget_s=60"),
         OF_ROUTE
-        | OF_CORRIDOR
         | {
             "--planner planner": "ptp",
             "--planner heuristic": "landmarks",

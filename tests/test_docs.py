@@ -320,11 +320,11 @@ def test_the_scenario_page_names_every_setting_with_its_default():
     columns |= {"crs", "highest_m", "default_height_m"}
     left_out = {"region": {"bounds", "crs"}, "buildings": {"source", *columns}}
     left_out |= {"terrain": {"source"}, "vegetation": {"source"}, "obstacles": {"kinds"}}
-    left_out |= {"gps": {"times", "start", "stop", "step_s", "reference"}}
+    left_out |= {"gps": {"times", "reference"}}
     left_out |= {
         "population": {"blocks", "table", "column", "districts", "commercial"}
     }  # without a default: examples are shown
-    left_out |= {"vehicle": set(shown["vehicle"]) - {"radius_m"}}
+    left_out |= {"vehicle": set(shown["vehicle"])}
     whole = Scenario.from_dict(shown).model_dump(mode="python")
     bare = {"region": {"bounds": shown["region"]["bounds"]}, "buildings": {"source": "x.geojson"}}
     defaults = Scenario.from_dict(bare).model_dump(mode="python")
@@ -333,8 +333,6 @@ def test_the_scenario_page_names_every_setting_with_its_default():
         if section == "study":
             continue
         wanted = settings.keys() - {
-            "start",
-            "stop",
             "step_s",
             "weekday",
             "weekend",

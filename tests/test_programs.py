@@ -352,7 +352,7 @@ def test_a_command_and_its_workers_compile_once_a_machine_and_say_so(tmp_path):
     for out in ("first", "second"):
         command = [sys.executable, "command.py", "maps", "town.toml", "-o", out]
         ended = subprocess.run(
-            [*command, "--workers", "2", "--set", 'region.engine="jax"'],
+            [*command, "--workers", "2"],
             env=inherited | caches | {"PYTHONPATH": str(Path(ju.__file__).parents[1])},
             cwd=tmp_path,
             capture_output=True,

@@ -285,17 +285,17 @@ def _check_buildings(
 ) -> None:
     """Raise InputError where heights look like elevations, or none is in the region, unless the settings allow it."""
     name = repr(str(file.source))
-    if not file.allow_high:
+    if "high" not in file.allow:
         stands = source.roofs if source.buildings is None else source.buildings
         check_are_heights(name, stands, source.crs, source.extent_m, ground)
     has_outline = source.buildings is not None and source.buildings.touches(box_m).any()
     has_roof = source.roofs is not None and (source.roofs.values > 0).any()
-    if not (has_outline or has_roof or file.allow_none):
+    if not (has_outline or has_roof or "none" in file.allow):
         raise InputError(
             f"{name} has no building in the region {list(region)}: "
             f"{where_it_lies(lonlat_extent(file.source, file.crs), region)}; "
             "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
-            "allow_none = true if there are none"
+            'allow = ["none"] if there are none'
         )
 
 

@@ -218,7 +218,7 @@ def check_are_heights(
             f"{name} seems to hold elevations above the sea in place of heights above the ground: of {len(height_m):,} "
             f"hardly one is below {HIGH_M:g} m, or below the elevation of its ground; set [buildings] ground_column "
             '(with height_column and unit), name a column of heights, or of a raster set kind = "surface" or its unit '
-            "(`gdal_edit.py -scale 0.1` of decimetres); if they are heights in metres, set allow_high = true"
+            "(`gdal_edit.py -scale 0.1` of decimetres); if they are heights in metres, set allow = ['high']"
         )
 
 
@@ -284,6 +284,6 @@ def check_people(people: np.ndarray, area_m2: np.ndarray) -> None:
     high = np.quantile(np.append(per_km2[people > 0], 0.0), 0.9)
     if high > MOST_PER_KM2 and area_m2.sum() > QUARTER_M2:
         raise InputError(
-            f"the people of [population] are {high:,.0f} per km2 or more in a tenth of the blocks or pixels, and no "
-            f"quarter has {MOST_PER_KM2:,}: give the number of people in each of them, not people per km2"
+            f"the people of [population] blocks are {high:,.0f} per km2 or more in a tenth of the blocks or pixels, "
+            f"and no quarter has {MOST_PER_KM2:,}: give the number of people in each of them, not people per km2"
         )

@@ -146,7 +146,7 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
 
     # Buildings: guesses are among the facts, so that their warnings are not needed.
     with warnings.catch_warnings(action="ignore", category=UserWarning):
-        city = City.from_files(Buildings(file, allow_none=True))
+        city = City.from_files(Buildings(file, allow=("none",)))
     facts |= {name: value for name, value in city.facts.items() if value and name != "terrain"}
     if city.buildings is None:
         return facts, {}
@@ -192,7 +192,7 @@ def _line_of_other(file: Path, error: InputError) -> str:
         try:
             satellites = read_orbits(file).satellites
             what = f"orbits of {len(satellites)} satellites from {span_of(satellites)}"
-            return f"{what}: orbits = {str(file)!r} in [gps] of a scenario"
+            return f"{what}: [gps] orbits = {str(file)!r} in a scenario"
         except InputError as refusal:
             if isinstance(refusal.__cause__, ImportError):  # of their reader
                 raise

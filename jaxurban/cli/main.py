@@ -20,7 +20,7 @@ from jaxurban.cli.info import info_command
 from jaxurban.cli.maps import maps_command
 from jaxurban.cli.plan import plan_command
 from jaxurban.cli.view import view_command
-from jaxurban.errors import InputError, platform_remedy, reason_of
+from jaxurban.errors import InputError, platform_remedy, reason_of, speaking
 from jaxurban.exit_codes import ExitCode
 from jaxurban.flights.check_command import check_command
 from jaxurban.flights.return_command import return_command
@@ -92,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     warnings.showwarning = lambda message, *_, **__: LOG.info(f"warning: {message}")
     signal.signal(signal.SIGINT, _interrupt)
     sys.unraisablehook = _show_unraisable
-    with logged_on_stderr():
+    with logged_on_stderr(), speaking("scenario"):
         sys.exit(_run(arguments))
 
 

@@ -1,22 +1,26 @@
 """jaxurban maps."""
 
+from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
 from jaxurban.errors import InputError
+from jaxurban.exit_codes import ExitCode
 from jaxurban.progress import LOG, reporting
 from jaxurban.terminal.common import (
     CHANGES,
     DEVICE_CHOICE,
     FLAG,
+    GIVEN,
     JSON_FLAG,
     NAMES,
     OUTPUT,
     OVERWRITE,
-    SCENARIO,
     WORKERS,
+    Settings,
     print_json,
     stay_on_cpu,
     use_device,
@@ -25,7 +29,7 @@ from jaxurban.terminal.options import command
 
 
 @command()
-@SCENARIO
+@click.argument("scenario_files", metavar="SCENARIO...", type=GIVEN, nargs=-1, required=True)
 @OUTPUT
 @CHANGES
 @OVERWRITE
@@ -44,7 +48,7 @@ from jaxurban.terminal.options import command
 @DEVICE_CHOICE()
 @JSON_FLAG
 def maps_command(
-    scenario_file: Path,
+    scenario_files: tuple[Path, ...],
     output: Path,
     changes: tuple[str, ...],
     overwrite: bool,
@@ -54,15 +58,22 @@ def maps_command(
     workers: int | str | None,
     device: str | None,
     as_json: bool,
-) -> None:
-    """Make the metric maps of SCENARIO.
+) -> ExitCode:
+    """Make the metric maps of each SCENARIO.
 
-    SCENARIO is a file in TOML. The maps are written as Zarr and GeoTIFF.
+    SCENARIO is a file in TOML. The maps are written as Zarr and GeoTIFF, those of several scenarios each to a folder of
+    its scenario's name below the output folder.
     """
-    from jaxurban.io.workspace import Workspace
     from jaxurban.maps.free_memory import parse_bytes
-    from jaxurban.maps.provenance import finished
-    from jaxurban.maps.scenario import Scenario
+
+    # Several scenarios have a folder each; of a sample city's name, what follows its colon.
+    folders = [output]
+    if len(scenario_files) > 1:
+        folders = [output / file.stem.rpartition(":")[2] for file in scenario_files]
+    if len({*folders}) < len(folders):
+        raise InputError(
+            f"two scenarios have one name, and so one folder below {str(output)!r}: rename one"
+        )
 
     # Processes of this machine compute on the CPU; an address is that of a cluster, which has devices of its own.
     has_processes = isinstance(workers, int)
@@ -74,11 +85,70 @@ def maps_command(
     if has_processes:
         stay_on_cpu()
     use_device(device)
-    scenario = Scenario.from_toml(scenario_file, changes)
     memory_bytes = None if memory is None else parse_bytes(memory)
+    make = partial(
+        _made,
+        changes=changes,
+        overwrite=overwrite,
+        has_figures=figures,
+        layers=layers,
+        memory_bytes=memory_bytes,
+        workers=workers,
+    )
 
-    # Make the maps, unless they are all there, by libraries that neither these nor a wrong scenario need wait for.
-    record = None if figures or layers or memory else finished(scenario, output)
+    # Of several scenarios one that is refused keeps no other from being made.
+    entries: list[Settings] = []
+    for folder, file in zip(folders, scenario_files, strict=True):
+        entry: Settings = {"folder": str(folder), "exit_code": ExitCode.DONE, "message": None}
+        try:
+            entry |= make(file, folder)
+        except InputError as error:
+            if len(folders) == 1:
+                raise
+            entry |= {"exit_code": ExitCode.BAD_INPUT, "message": str(error)}
+        entries.append(entry)
+
+    # What is printed: each warning once, and how each scenario ended.
+    counts = Counter(warning for entry in entries for warning in entry.get("warnings", ()))
+    for warning, num in counts.items():
+        of_all = f" ({num} of {len(entries)} scenarios)" if len(entries) > 1 else ""
+        LOG.warning(f"warning: {warning}{of_all}")
+    for entry in entries:
+        folder, message = entry["folder"], entry["message"]
+        done = f"maps finished: {folder} (run.json holds their settings and sources)"
+        LOG.info(f"error: {folder}: {message}" if message else done)
+    code = max(entry["exit_code"] for entry in entries)
+    facts = entries[0] if len(entries) == 1 else {"scenarios": entries}
+    message = "; ".join(filter(None, (entry["message"] for entry in entries)))
+    if as_json:
+        print_json(facts, code, message)
+    return code
+
+
+def _made(
+    scenario_file: Path,
+    output: Path,
+    *,
+    changes: tuple[str, ...],
+    overwrite: bool,
+    has_figures: bool,
+    layers: tuple[str, ...],
+    memory_bytes: int | None,
+    workers: int | str | None,
+) -> Settings:
+    """Make the maps of a scenario in a folder, unless they are all there, and return the record of their run.
+
+    Raises:
+      InputError: as of `jaxurban.maps.run.run_scenario`.
+    """
+    from jaxurban.io.workspace import Workspace
+    from jaxurban.maps.provenance import finished
+    from jaxurban.maps.scenario import Scenario
+
+    scenario = Scenario.from_toml(scenario_file, changes)
+
+    # Make the maps by libraries that neither finished ones nor a wrong scenario need wait for.
+    record = None if has_figures or layers or memory_bytes else finished(scenario, output)
     made: dict[float, Any] = {}  # maps to draw, by resolution
     with reporting("maps") as report:
         if record is None:
@@ -105,14 +175,10 @@ def maps_command(
                 LOG.info(
                     "the pictures of the former maps are removed; --figures draws those of these maps"
                 )
-            if figures:
+            if has_figures:
                 from jaxurban.plot import save_figures
 
                 report("figures")
                 for resolution_m, maps_drawn in made.items():
                     save_figures(maps_drawn, (), output / "figures" / f"{resolution_m:g}m")
-    for warning in record["warnings"]:
-        LOG.warning(f"warning: {warning}")
-    LOG.info(f"maps finished: {output} (run.json holds their settings and sources)")
-    if as_json:
-        print_json(record)
+    return record

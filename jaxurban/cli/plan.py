@@ -13,7 +13,6 @@ from jaxurban.paths.suffixes import FLOWN, MISSION, check_picture, check_route_f
 from jaxurban.progress import LOG
 from jaxurban.settings import Backend, MissionEnd
 from jaxurban.terminal.common import (
-    CORRIDOR,
     DEVICE,
     FILES,
     FLAG,
@@ -21,7 +20,6 @@ from jaxurban.terminal.common import (
     METRES,
     PATH,
     ROUTE,
-    MapsOf,
     Settings,
     check_route,
     print_json,
@@ -39,7 +37,7 @@ if TYPE_CHECKING:
 
 NAME_WIDTH = 16  # characters of the table's first column
 NOT_WHEN = (
-    "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --corridor, --simplify, "
+    "--when takes -o .csv or .parquet, and no --refine, --exposure, --volume, --report, --simplify, "
     "--mission or --on-ground"
 )
 ASKED = partial(click.option, is_flag=False, flag_value="", metavar="[NAME=VALUE,...]")  # bare too
@@ -179,7 +177,8 @@ class RouteFiles(NamedTuple):
 @click.option(
     "--objective",
     type=click.Choice(["weighted", "distance"]),
-    help="[default: the scenario's, else weighted]",
+    default="weighted",
+    help="What is sought: the least weighted cost, or the shortest path.  [default: weighted]",
 )
 @ASKED(
     "--volume",
@@ -191,7 +190,6 @@ class RouteFiles(NamedTuple):
     type=Values(FlightOptions),
     help="Report costs, people and clearance, by segment.",
 )
-@CORRIDOR
 @grouped_options(
     "outputs",
     RouteFiles,
@@ -229,13 +227,12 @@ def plan_command(
     volume: Settings | None,
     time: str | None,
     time_of_day: str | None,
-    maps_of: MapsOf,
+    resolution_m: float | None,
     weights: dict[str, float],
-    objective: "Objective | None",
+    objective: "Objective",
     rules: Settings,
     planner: Settings,
     report: Settings | None,
-    corridor: Settings | None,
     outputs: RouteFiles,
     as_json: bool,
     **search: Any,
@@ -244,14 +241,16 @@ def plan_command(
     # Refuse what cannot be written before a long search. ``search`` holds all further options; they are keywords of the
     # search.
     search |= planner
-    with_report = report is not None or corridor is not None
+    with_report = report is not None
     _check_options(outputs, search, with_report or volume is not None)
     search["on_ground"] = _on_ground(outputs, search)
     route_m = altitude_m if volume is None else None
     check_route(folder, route_m, time, weights, search)
 
     # The maps, and what is chosen of them.
-    maps = maps_of(folder, rules.pop("obstacles")).open()
+    from jaxurban.maps.saving import open_maps
+
+    maps = open_maps(folder, resolution_m)
     if not outputs.suffixes.isdisjoint(FLOWN):
         constraints = rules["constraints"].for_flight(maps.planning, rules["preset"])
         rules = rules | {"constraints": constraints}
@@ -264,7 +263,6 @@ def plan_command(
     }
 
     # Imported here: it takes a second or two.
-    from jaxurban.flights.ground_risk import overflown_density
     from jaxurban.maps.levels import Levels
     from jaxurban.paths.explain import explain, with_return_altitude
     from jaxurban.paths.finish import plan_on, simplify
@@ -292,11 +290,9 @@ def plan_command(
         planned = simplify(planned, costs, outputs.simplify_m)
 
     # Its report, which the profile needs too, its files, and what is printed.
-    explained = density = None
+    explained = None
     if planned.status.has_path and (with_report or outputs.profile is not None):
-        if corridor is not None:
-            density = overflown_density(costs.maps, planned, time_of_day=time_of_day, **corridor)
-        explained = explain(planned, costs.maps, density=density, **(report or {}))
+        explained = explain(planned, costs.maps, **(report or {}))
         explained = with_return_altitude(explained, planned, costs.maps)
     return _write_route(planned, costs, explained, with_report, outputs, as_json)
 

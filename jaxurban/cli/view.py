@@ -10,12 +10,11 @@ from jaxurban.progress import LOG
 from jaxurban.terminal.common import (
     FLAG,
     FOLDER,
-    MAPS,
     PATH,
     PRESET,
+    RESOLUTION,
     SHOWN,
     SOURCES,
-    MapsOf,
 )
 from jaxurban.terminal.options import command
 
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
 @command()
 @FOLDER
-@MAPS
+@RESOLUTION
 @PRESET
 @SOURCES
 @click.option(
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
 @FLAG("--no-browser", help="Do not open a browser; the address is printed.")
 def view_command(
     folder: Path,
-    maps_of: MapsOf,
+    resolution_m: float | None,
     preset: "Preset",
     sources: Path | None,
     export: Path | None,
@@ -59,6 +58,7 @@ def view_command(
 
     The page is for a browser on this machine; Ctrl-C ends it.
     """
+    from jaxurban.maps.saving import open_maps
     from jaxurban.viewer.html import write_page
     from jaxurban.viewer.server import ViewerServer
     from jaxurban.viewer.viewer import Viewer
@@ -66,7 +66,7 @@ def view_command(
     def open_viewer() -> Viewer:
         """Return the viewer of the maps, read again each time: the server calls it where their files have changed."""
         return Viewer(
-            maps_of(folder).open(),
+            open_maps(folder, resolution_m),
             name=folder.resolve().name,
             folder=str(folder),
             preset=preset,

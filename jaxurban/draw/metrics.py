@@ -552,9 +552,7 @@ def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
     """
     maps = as_maps(maps)
     if "density" not in maps.ds:
-        raise InputError(
-            "these maps hold no population: give [population] sources in the scenario and make them again"
-        )
+        raise InputError("these maps hold no population: make them with [population] blocks")
     cell_km2 = maps.grid.resolution_m**2 / 1e6
     colours = metric_colours(maps, "density")
     panels = []

@@ -1,7 +1,7 @@
 """check: whether a mission that another tool made is safe to fly over maps, as far as these know."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.checks import positive, typed, values_given
+from jaxurban.checks import typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.flights.check_result import MissionCheck
 from jaxurban.flights.contacts import Prisms, buildings_of, union_m
@@ -49,16 +49,12 @@ def check(
     home_above_ground_m: float | None = None,
     return_altitude_m: float | None = None,
     geoid_m: float | None = None,
-    no_fly: str | Path | Iterable[str | Path] = (),
     constraints: Constraints | None = None,
-    clearance_m: float | None = None,
-    vertical_clearance_m: float | None = None,
     time: str | Sequence[str] | None = None,
     time_of_day: str | None = None,
     max_no_fix_m: float | None = None,
     max_people: float | None = None,
     ceiling_m: int = CEILING_M,
-    swath_m: float = 10.0,
     sources: City | str | Path | None = None,
 ) -> MissionCheck:
     """Return the findings of a mission over maps, whatever tool made it, with what cannot be judged and figures.
@@ -85,18 +81,15 @@ def check(
         count from there. Left out, home is on the ground.
       return_altitude_m: height above home at which the vehicle returns, for a file that has none.
       geoid_m: height of the geoid above the ellipsoid, for heights above the ellipsoid.
-      no_fly: files of no-fly zones, which add to the zones of ``constraints``.
       constraints: zones, bounds, clearances and vehicle; left out, those that a path was planned under, and of a file
         those of the maps' scenario.
-      clearance_m, vertical_clearance_m: replace the clearances of ``constraints``; left out, they do not.
       time: one or several UTC times of the flight. The GPS maps of these times count, and the zones that are in force
         at one of them. Left out, the maps' first time and every zone count.
       time_of_day: of the map of people; the first if left out.
       max_no_fix_m: most metres without a position fix that are allowed, at the worst of the times.
-      max_people: most people overflown that are allowed.
+      max_people: most people overflown that are allowed, in a strip of 10 m.
       ceiling_m: whole metres above the ground, which no height that clears a finding exceeds, and no return altitude
         to type.
-      swath_m: width of the strip in which people are counted.
       sources: the City, or the folder at which the recorded files' paths begin.
 
     Returns:
@@ -123,7 +116,6 @@ def check(
     most = {"max_no_fix_m": max_no_fix_m, "max_people": max_people, "ceiling_m": ceiling_m}
     for name, value in values_given(most).items():
         not_negative(name, value)
-    positive("swath_m", swath_m)
     if isinstance(mission, PlannedPath):
         constraints = constraints or constraints_of(mission)
     of_file = {"heights": heights, "home": home, "return_altitude_m": return_altitude_m}
@@ -131,13 +123,11 @@ def check(
     named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
 
-    # Constraints: those of the argument, with the zones of files, the geofence and the clearances of the call. What is
-    # still left out is as in the maps' scenario. Of the zones those count that are in force.
+    # Constraints: those of the argument, with the geofence. What is still left out is as in the maps' scenario. Of the
+    # zones those count that are in force.
     limits = constraints or Constraints()
-    zones = (*limits.zones, *Constraints.read(no_fly).zones, *mission.zones)
-    clearances = {"clearance_m": clearance_m, "vertical_clearance_m": vertical_clearance_m}
-    limits = replace(limits, zones=zones, **values_given(clearances))
-    _, _, limits = rules_on(maps, None, limits, "")
+    zones = (*limits.zones, *mission.zones)
+    _, _, limits = rules_on(maps, None, replace(limits, zones=zones), "")
     limits = _in_force(limits, named_times)
     figures = {"num_zones": len(zones), "num_zones_in_force": len(limits.zones)}
 
@@ -150,7 +140,7 @@ def check(
     flight = flight_of(mission, Elevation(maps, city), geoid_m)
     buildings = buildings_of(maps, city)
     findings, unknown = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
-    figures |= figures_of(flight, maps, times, time_of_day, swath_m)
+    figures |= figures_of(flight, maps, times, time_of_day)
     exceeded, open_limits = _against_maxima(flight, figures, max_no_fix_m, max_people)
     # Empty tables are left out, since their columns would change the types of the others.
     tables = [table for table in (findings, exceeded) if len(table)]

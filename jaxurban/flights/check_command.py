@@ -11,7 +11,6 @@ from jaxurban.exit_codes import ExitCode
 from jaxurban.knowledge import Caution
 from jaxurban.progress import LOG
 from jaxurban.terminal.common import (
-    CORRIDOR,
     FILES,
     FOLDER,
     GIVEN,
@@ -62,6 +61,22 @@ class Limits(TypedDict):
     ceiling_m: int
 
 
+class Corridor(TypedDict):
+    """The corridor of a flight beneath which the density of people is taken (`jaxurban.overflown_density`).
+
+    Attributes:
+      half_width_m: width of the volume that is flown in, to each side.
+      contingency_m: width of the contingency volume around it, else 0.
+      buffer_m: width of the ground risk buffer around both, else the flight's height (1:1 rule).
+      cell_m: side of the cells of the mean, else 200; 100 and 500 are reported too.
+    """
+
+    half_width_m: float
+    contingency_m: float
+    buffer_m: float
+    cell_m: float
+
+
 @command()
 @FOLDER
 @click.argument("mission", metavar="MISSION", type=GIVEN)
@@ -83,7 +98,11 @@ class Limits(TypedDict):
 )
 @TIME_OF_DAY
 @click.option("--limits", type=Values(Limits), default="", help="What the flight must keep within.")
-@CORRIDOR
+@click.option(
+    "--corridor",
+    type=Values(Corridor),
+    help="Report the density of people beneath a corridor, for a ground risk assessment.",
+)
 @SOURCES
 @RESOLUTION
 @FILES(help="Folder of the report, or a file of findings: .geojson, .csv or .parquet; repeatable.")

@@ -15,6 +15,7 @@ from jaxurban.paths.steps import Steps
 
 WINDOW_M = 1000.0  # of the densest stretch
 FEW = 16  # of so many steps one is in a first look
+SWATH_M = 10.0  # width of the strip in which people are counted
 
 
 def figures_of(
@@ -22,7 +23,6 @@ def figures_of(
     maps: MetricMaps,
     times: Sequence[str | None],
     time_of_day: str | None,
-    swath_m: float,
 ) -> dict[str, Any]:
     """Return the length of a mission, its metres without a fix, the people below it and its clearances, by name.
 
@@ -36,7 +36,6 @@ def figures_of(
       maps: the maps.
       times: of the GPS maps: ``no_fix_m`` is of the worst, ``no_fix_by_time_m`` of each. None is the first.
       time_of_day: of the population map; the first if None.
-      swath_m: width of the strip in which people are counted.
     """
     steps = flight.steps
     length_m = steps.length_m
@@ -65,7 +64,7 @@ def figures_of(
     # People below the strip, and metres where they are not known.
     if "density" in maps.ds:
         density = values_on(maps, "density", steps, None, time_of_day)
-        people = people_below(np.nan_to_num(density), steps, swath_m)
+        people = people_below(np.nan_to_num(density), steps, SWATH_M)
         unknown_m = float(length_m[np.isnan(density)].sum()) + off_m
         figures |= {"people_overflown": float(people.sum()), "people_unknown_m": unknown_m}
         figures |= densest_of(people, steps)

@@ -231,7 +231,7 @@ def _burn_ranks(buildings: Footprints, grid: Grid) -> tuple[np.ndarray, np.ndarr
     )
 
 
-def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndarray:
+def building_index(city: City, grid: Grid) -> np.ndarray:
     """Return the index of the building that has the highest roof in each cell, ``[Y, X]`` int32.
 
     It is `NO_BUILDING` without one. Of the heights `jaxurban.world.surface.roofs_of` makes the roofs of buildings.
@@ -239,7 +239,6 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
     Args:
       city: with outlines.
       grid: of the result.
-      all_touched: a roof covers every cell that its outline shares area with, and not only those whose centre it holds.
 
     Raises:
       InputError: a city without outlines, whose roofs are a raster.
@@ -248,8 +247,8 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
         raise InputError(
             "this city's roofs are a height raster: gradients by building need outlines as its source"
         )
-    by_height, centre, touched = _burn_ranks(city.buildings, grid)
-    return np.append(by_height, NO_BUILDING).astype(np.int32)[touched if all_touched else centre]
+    by_height, centre, _ = _burn_ranks(city.buildings, grid)
+    return np.append(by_height, NO_BUILDING).astype(np.int32)[centre]
 
 
 def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:

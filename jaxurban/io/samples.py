@@ -140,7 +140,7 @@ def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the settings of a scenario, filled up with those of the sample city that its buildings are from.
 
     The scenario's own settings win. Blocks of other files keep away all of the sample's population, other orbits all of
-    its satellites, and a start, stop or step of times its times.
+    its satellites.
 
     Args:
       settings: by section and name; returned as they stand where the buildings are from no sample city.
@@ -158,8 +158,6 @@ def filled(settings: Mapping[str, Any]) -> Mapping[str, Any]:
             continue  # which the scenario refuses
         if section == "population" and {"blocks", "blocks_day", "blocks_night"} & own.keys():
             values = {}
-        if {"start", "stop", "step_s"} & own.keys():
-            values = {key: value for key, value in values.items() if key != "times"}
         if section == "gps" and "orbits" in own:
             values = {}
         merged[section] = {**values, **own}

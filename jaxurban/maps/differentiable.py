@@ -408,7 +408,7 @@ def soften(
     city = task.city
     params = task.params
     in_view = task.in_view(time_index)
-    building = building_index(city, task.with_margin(), params.heights.all_touched)
+    building = building_index(city, task.with_margin())
     assert city.buildings is not None
 
     # The rasters and the people in the type of the layers, and how far each metric looks.

@@ -82,7 +82,6 @@ def run_record(
         "started_utc": started_utc,
         "elapsed_s": {name: round(seconds, 3) for name, seconds in elapsed_s.items()},
         "run_key": key,
-        "engine": "numba" if scenario.region.engine == "numba" else "jax",
         "by_numba": tasks[0].by_numba,
         "versions": versions(),
         "settings": settings_of(scenario),
@@ -107,7 +106,7 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
     Args:
       file: run.json.
       record: from `run_record`.
-      is_kept: whether all maps were kept and none was made. Start, times, engine and earlier warnings then stay those
+      is_kept: whether all maps were kept and none was made. Start, times and earlier warnings then stay those
         of the run that made the maps.
     """
     try:
@@ -118,7 +117,7 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
             LOG.warning(f"{str(file)!r} is missing or damaged: writing it again")
     record = json.loads(json.dumps(record))  # tuples become lists, as in the old record
     if is_kept and old.get("run_key") == record["run_key"]:
-        kept_names = "started_utc", "elapsed_s", "engine", "by_numba"
+        kept_names = "started_utc", "elapsed_s", "by_numba"
         record |= {name: old[name] for name in kept_names if name in old}
         record["warnings"] = list(dict.fromkeys([*old["warnings"], *record["warnings"]]))
     if record != old:
@@ -241,10 +240,8 @@ def code_hash() -> str:
 
 
 def _of_maps(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that maps depend on: `NOT_OF_MAPS` and the engine, which changes no bit, are left out."""
-    of_maps = {name: value for name, value in settings.items() if name not in NOT_OF_MAPS}
-    region = {name: value for name, value in settings["region"].items() if name != "engine"}
-    return of_maps | {"region": region}
+    """Return the settings that maps depend on: all but those of `NOT_OF_MAPS`."""
+    return {name: value for name, value in settings.items() if name not in NOT_OF_MAPS}
 
 
 def run_key(scenario: Scenario, inputs: Inputs, backend: str) -> str:
@@ -269,8 +266,7 @@ def run_key(scenario: Scenario, inputs: Inputs, backend: str) -> str:
 def begun(scenario: Scenario) -> tuple[Inputs, str]:
     """Return the input files of a run, from `hash_inputs`, and its key, from `run_key`, on this process's device."""
     inputs = hash_inputs(scenario)
-    on_host = scenario.region.engine == "numba"
-    return inputs, run_key(scenario, inputs, "cpu" if on_host else jax.default_backend())
+    return inputs, run_key(scenario, inputs, jax.default_backend())
 
 
 def finished(scenario: Scenario, folder: Path) -> dict[str, Any] | None:

@@ -212,7 +212,7 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
     region = tile.surface.region
     heights = task.params.heights
     without_people = replace(task.city, blocks=None)
-    draws = without_people, heights.height_std_m, heights.height_samples, heights.height_seed
+    draws = without_people, heights.height_std_m, heights.height_samples
 
     # The same cities are drawn twice, so that one at a time is in memory: first for the highest roof, which sets how
     # large the surfaces must be, then for their maps.
@@ -220,7 +220,7 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
     grid = task.with_margin(region, highest_m)
     spreads: dict[tuple, Spread] = {}  # by variable and place
     for city in perturbed_cities(*draws):
-        surface = build_surface(city, region, grid, heights.all_touched)
+        surface = build_surface(city, region, grid)
         perturbed = TileScene(replace(task, city=city), surface)
         maps = [_maps(perturbed, task.metrics[name], only_m=True) for name in task.spread_metrics]
         for name, place, values in chain(_obstacles(perturbed), *maps):

@@ -13,7 +13,7 @@ from typing import Any
 
 from jaxurban import wings
 from jaxurban.checks import values_given
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, speaking
 from jaxurban.io import store, stored
 from jaxurban.io.city import City
 from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, sweep_scraps
@@ -23,7 +23,7 @@ from jaxurban.io.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
-from jaxurban.kernels.engine import num_cores, warn_of_jax
+from jaxurban.kernels.engine import num_cores
 from jaxurban.knowledge import guesses_to, warn_of
 from jaxurban.maps.at_once import free_device_bytes
 from jaxurban.maps.build import view_sky
@@ -55,6 +55,7 @@ class ScenarioRun:
     record: dict[str, Any]
 
 
+@speaking("scenario")
 def load_city(scenario: Scenario) -> City:
     """Return the city that a scenario names, read from its files; the synthetic city has none.
 
@@ -100,6 +101,7 @@ def scenario_grid(scenario: Scenario, resolution_m: float | None = None) -> Grid
     return Grid.from_bounds(region.bounds, resolution_m, region.crs, region.resolution_m)
 
 
+@speaking("scenario")
 def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
     """Return a task for each resolution of a scenario: all that its maps are made of.
 
@@ -124,6 +126,7 @@ def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
     return tasks
 
 
+@speaking("scenario")
 def run_scenario(
     scenario: Scenario,
     folder: Path,
@@ -391,7 +394,6 @@ def make_zarr(
     """
     task = run.task
     grid = task.region
-    warn_of_jax(task.params.engine)
     shape = shape or shape_of_tiles(task)
     tiling = Tiling.over(grid, task.with_margin(), shape)
     if task.city.roofs is not None or task.has_terrain:

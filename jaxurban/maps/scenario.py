@@ -34,9 +34,8 @@ from jaxurban.checks import (
     typed,
     values_given,
 )
-from jaxurban.errors import GuessWarning, InputError, readable, warn
+from jaxurban.errors import GuessWarning, InputError, readable, speaking, warn
 from jaxurban.io.samples import filled, is_sample, located
-from jaxurban.kernels.engine import Engine
 from jaxurban.maps.params import MapParams
 from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import Dop, Gps
@@ -50,7 +49,6 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.settings import (
     Backend,
     Buildings,
-    CostKind,
     PlannerName,
     Planning,
     Terrain,
@@ -91,7 +89,7 @@ OneOrMore = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]  # a TOML ma
 @typed
 @dataclass(frozen=True)
 class Region:
-    """Where, how fine and how high maps are made, and by which engine.
+    """Where, how fine and how high maps are made.
 
     Attributes:
       bounds: west, south, east, north in degrees.
@@ -99,7 +97,6 @@ class Region:
       resolution_m: sides of the cells; a set of maps for each.
       altitudes_m: flight altitudes above ground.
       oversample: n: occlusion and lidar on a surface n times finer.
-      engine: ``"numba"``, ``"jax"`` or ``"auto"``; on a CPU it changes no bit of the maps.
 
     Raises:
       InputError: bounds that are no box, an unknown CRS, or a length that is not positive or is named twice.
@@ -115,7 +112,6 @@ class Region:
     resolution_m: OneOrMore = (5.0,)
     altitudes_m: OneOrMore = (20.0, 60.0, 122.0, 600.0)
     oversample: int = 1
-    engine: Engine = "auto"
 
     def __post_init__(self) -> None:
         """Check the settings and write numbers as floats; errors as of the class."""
@@ -143,7 +139,6 @@ class Study:
       altitudes_m: of the maps' altitudes; all if left out.
       land_cover: OSM file with water and parks; left out, the buildings' source where that is one.
       weights: ``"dirichlet"``, or weights that take turns (see `jaxurban.studies.sample_instances`).
-      cost_model: left out: that of ``[planning]``.
       budget_s: seconds for each run.
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
@@ -165,7 +160,6 @@ class Study:
     altitudes_m: OneOrMore | None = None
     land_cover: str | None = None
     weights: tuple[WeightSettings, ...] | Literal["dirichlet"] = "dirichlet"
-    cost_model: CostKind | None = None
     budget_s: float = 2.0
     budget_iterations: int | None = None
     seed: int = 0
@@ -250,7 +244,7 @@ class Scenario(BaseModel):
         if self.is_synthetic and has_files:
             raise ValueError(
                 "the synthetic city (source = 'synthetic') has its own population and flat ground: leave out "
-                "the files of [population] and terrain.source, or name a source of real buildings"
+                "[population] blocks and [terrain] source, or name a source of real buildings"
             )
         return self
 
@@ -283,6 +277,7 @@ class Scenario(BaseModel):
                 raise ValueError(f"{where}: {error}") from error
 
     @classmethod
+    @speaking("scenario")
     @typed
     def from_toml(cls, path: str | Path, changes: Sequence[str] = ()) -> "Scenario":
         """Return the scenario in a TOML file; relative paths in it are relative to the file.
@@ -314,6 +309,7 @@ class Scenario(BaseModel):
             return cls.from_dict(settings, name=name, folder=path.resolve().parent)
 
     @classmethod
+    @speaking("scenario")
     @typed
     def from_dict(
         cls, settings: dict[str, Any], name: str = "the scenario", folder: Path | None = None
@@ -338,7 +334,8 @@ class Scenario(BaseModel):
           'astar'
         """
         folder = Path(folder or "")
-        with_bounds, extent = _with_bounds(filled(settings), folder)
+        located_files = _with_support(filled(settings), folder)
+        with_bounds, extent = _with_bounds(located_files, folder)
         _check_sizes(with_bounds, f"{name}: ")
         try:
             # As JSON: of that pydantic takes lists for tuples, and nothing else for what it is not.
@@ -399,7 +396,6 @@ class Scenario(BaseModel):
             region.oversample,
             heights=self.buildings,
             sections=values_given(sections),
-            engine=region.engine,
         )
 
     @property
@@ -411,6 +407,14 @@ class Scenario(BaseModel):
     def is_synthetic(self) -> bool:
         """Whether the source is the synthetic city."""
         return self.buildings.source == SYNTHETIC
+
+
+def _with_support(settings: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    """Return settings in which the file of ``[protection] isd``, if one is named, is a path from the current folder."""
+    match settings:
+        case {"protection": {"isd": str(file), **limits}}:
+            return {**settings, "protection": {**limits, "isd": str(folder / file)}}
+    return settings
 
 
 def _with_bounds(

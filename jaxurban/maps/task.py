@@ -247,9 +247,8 @@ class MapTask:
             self.city,
             part or self.region,
             around or self.with_margin(),
-            self.params.heights.all_touched,
-            self.has_guessed_roofs,
-            self.has_kinds,
+            has_guessed=self.has_guessed_roofs,
+            has_kinds=self.has_kinds,
         )
         if part is None:
             check_has_data([surface.crop(surface.has_data)], self.city)

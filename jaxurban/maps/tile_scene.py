@@ -55,12 +55,9 @@ class TileScene:
     @cached_property
     def supersampled(self) -> Surface | None:
         """The surface ``oversample`` times finer that rays see; None where that is the tile's own."""
-        params = self.task.params
-        if params.oversample == 1:
-            return None
-        return self.finer(self.task.city, params.heights.all_touched)
+        return self.finer(self.task.city) if self.task.params.oversample > 1 else None
 
-    def finer(self, city: City, all_touched: bool) -> Surface:
+    def finer(self, city: City, all_touched: bool = False) -> Surface:
         """Return a city on the tile and all that can shadow it, rasterised ``oversample`` times finer.
 
         Args:

@@ -281,8 +281,7 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             is_reported = tile in job.tiling.region_tiles
             has_guessed = is_reported and job.task.has_guessed_roofs
             has_kinds = is_reported and job.task.has_kinds
-            all_touched = job.task.params.heights.all_touched
-            surface = rasterise(city, grid, all_touched, has_guessed, has_kinds)
+            surface = rasterise(city, grid, has_guessed=has_guessed, has_kinds=has_kinds)
             names = (*RASTERS, *OF_REGION) if is_reported else RASTERS
             arrays = {key: getattr(surface, key) for key in names}
             if surface.slabs is not None:

@@ -18,7 +18,7 @@ TAIL = 0.05  # the percentiles reported are the 5th and the 95th
 
 
 def perturbed_cities(
-    city: City, height_std_m: HeightStd, num_samples: int, seed: int
+    city: City, height_std_m: HeightStd, num_samples: int, seed: int = 0
 ) -> Iterator[City]:
     """Yield the city with heights drawn again for each sample; the same seed gives the same cities.
 

@@ -63,7 +63,7 @@ class Gps:
       orbits: ``"nominal"``, a file of TLE, OMM, broadcast RINEX or SP3, or several of these (other
         constellations).
       times: UTC times, ISO 8601, whole seconds; left out, see `jaxurban.maps.build.view_sky`.
-      start, stop, step_s: a series of times instead, its end included; UTC and seconds.
+      step_s: a series of times so many seconds apart, of which ``times`` names the first and the last possible one.
       mask_deg: elevation mask; lower satellites are not used.
       max_age_days: older element sets are refused.
       reference: longitude, latitude where look angles are taken; left out, the region's centre.
@@ -73,7 +73,7 @@ class Gps:
       InputError: a value out of its range, or times that are not different.
 
     Examples:
-      >>> gps = ju.Gps(start="2020-04-27T12:00:00Z", stop="2020-04-27T15:00:00Z", step_s=3600, mask_deg=10.0)
+      >>> gps = ju.Gps(times=("2020-04-27T12:00:00Z", "2020-04-27T15:00:00Z"), step_s=3600, mask_deg=10.0)
       >>> len(gps.utc_times)
       4
       >>> made = ju.build_maps(city, grid=maps.grid, altitudes_m=(60.0,), gps=gps)
@@ -88,8 +88,6 @@ class Gps:
     clocks: Literal["system", "one"] = "system"
     orbits: str | Path | Sequence[str | Path] = (NOMINAL,)
     times: str | Sequence[str] | None = None
-    start: str | None = None
-    stop: str | None = None
     step_s: int | None = None
     mask_deg: float = 5.0
     max_age_days: float = 90.0
@@ -124,22 +122,16 @@ class Gps:
         return self.mask_deg
 
     def _check_times(self) -> None:
-        """Check ``times``, or ``start``, ``stop`` and ``step_s`` in their place, and write them, in place, as UTC.
+        """Check the times, and write them, in place, as UTC.
 
         Raises:
-          InputError: a series without one of its three settings or beside ``times``, the same time twice, or a time
-            that is not a whole second.
+          InputError: the same time twice, a time that is not a whole second, or a series without its two ends, with a
+            step below a second, or of more than `MOST_TIMES`.
         """
-        series = self.start, self.stop, self.step_s
-        is_series = any(value is not None for value in series)
-        if is_series and (None in series or self.times is not None):
-            raise InputError(
-                "a series of times needs all of start, stop and step_s, and no times beside them"
-            )
-        if is_series:
-            self._check_series()
         if self.times is not None:
             object.__setattr__(self, "times", tuple(map(iso_utc, as_tuple(self.times))))
+        if self.step_s is not None:
+            self._check_series()
         times = self.utc_times
         if times is None:
             return
@@ -151,30 +143,30 @@ class Gps:
             raise InputError("times must be whole seconds, as file names carry them")
 
     def _check_series(self) -> None:
-        """Check a series of times, and write its first and last time, in place, as UTC.
+        """Check a series of times.
 
         Raises:
-          InputError: a step below a second, an end before the start, or more than `MOST_TIMES`.
+          InputError: times that are not two, in their order, a step below a second, or more than `MOST_TIMES`.
         """
         step_s = at_least("step_s", self.step_s, 1)
-        ends: Any = self.start, self.stop  # both given, as `_check_times` has seen
+        ends = self.times or ()
+        if len(ends) != 2 or ends[1] < ends[0]:
+            raise InputError(
+                f"step_s needs times of two, the first and the last of the series, got {list(ends)}"
+            )
         start, stop = map(parse_time, ends)
-        object.__setattr__(self, "start", iso_utc(start))
-        object.__setattr__(self, "stop", iso_utc(stop))
-        if stop < start:
-            raise InputError(f"stop, {self.stop}, is before start, {self.start}")
         num_steps = (stop - start).total_seconds() / step_s
         if num_steps >= MOST_TIMES:
-            raise InputError(
-                f"start, stop and step_s make {num_steps:.3g} times: make step_s longer"
-            )
+            raise InputError(f"step_s makes {num_steps:.3g} times: make it longer")
 
     @property
     def utc_times(self) -> tuple[str, ...] | None:
         """The UTC times, ISO 8601 with a trailing Z; None where `jaxurban.maps.build.view_sky` chooses."""
-        if self.start is None or self.stop is None or self.step_s is None:
-            return None if self.times is None else tuple(self.times)
-        start, stop = parse_time(self.start), parse_time(self.stop)
+        if self.times is None:
+            return None
+        if self.step_s is None:
+            return tuple(self.times)
+        start, stop = map(parse_time, self.times)
         step = timedelta(seconds=self.step_s)
         num_steps = (stop - start) // step
         return tuple(iso_utc(start + step * number) for number in range(num_steps + 1))
@@ -388,7 +380,7 @@ METRIC = Metric(
     colour_map="viridis",
     also=ALSO,
     cell_bytes=72,  # DOPs, m and the number of the choice, and what makes them
-    sources=("orbits", "times", "start", "stop", "step_s", "max_age_days", "reference"),
+    sources=("orbits", "times", "step_s", "max_age_days", "reference"),
     is_bracketed=True,
 )
 

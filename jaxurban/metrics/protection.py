@@ -4,14 +4,16 @@ Made on request, for a dual-frequency aviation receiver under open sky; every di
 once.
 """
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import tomllib
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
-from jaxurban.checks import typed
-from jaxurban.errors import InputError
+from jaxurban.checks import one_of, typed
+from jaxurban.errors import InputError, readable
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.base import (
     ALTITUDE,
@@ -31,23 +33,15 @@ if TYPE_CHECKING:  # imported where they are used: they bring Numba
     from jaxurban.kernels.protection import Ranging, RiskBudget
 
 
-@differentiable()
 @typed
-@dataclass(frozen=True)
-class Protection:
-    """Settings of the protection levels; the alert limits and probabilities are by default those of LPV-200.
+@dataclass(frozen=True, kw_only=True)
+class IntegritySupport:
+    """Integrity support data (ISD): what is promised of the satellites, and how the risk is shared out.
 
-    LPV-200 has two further criteria that are not computed: an effective monitor threshold (EMT) of at most 15 m and a
-    standard deviation of the vertical accuracy of at most 1.87 m. So a position within both alert limits need not
-    meet LPV-200.
-
-    Sources: Blanch et al. 2015 (IEEE Trans. AES 51) and EU-US Working Group C, ARAIM Milestone 3 report (2016) for
-    errors, faults and budget; ICAO Annex 10, table 3.7.2.4-1 (LPV-200) for the alert limits; the GPS SPS performance
-    standard (2020) for ``p_const_gps``.
+    Sources: Blanch et al. 2015 (IEEE Trans. AES 51) and EU-US Working Group C, ARAIM Milestone 3 report (2016); the GPS
+    SPS performance standard (2020) for ``p_const_gps``.
 
     Attributes:
-      horizontal_alert_limit_m: the horizontal protection level at and above which m is 0.
-      vertical_alert_limit_m: the vertical protection level up to which a position counts as available.
       sigma_ura_m: standard deviation of a satellite's orbit and clock errors that integrity counts on.
       sigma_ure_m: that of accuracy and continuity.
       bias_m: largest nominal bias of a satellite.
@@ -63,13 +57,11 @@ class Protection:
       InputError: a length that is not positive, a bias below 0, or a probability out of order.
 
     Examples:
-      >>> made = ju.build_maps(city, grid=maps.grid, altitudes_m=(60.0,), protection=ju.metrics.Protection())
-      >>> round(float(np.nanmin(made.m("hpl"))))  # metres
-      15
+      >>> worse = ju.typing.IntegritySupport(sigma_ura_m=2.4)
+      >>> ju.metrics.Protection(isd=worse).isd.sigma_ura_m
+      2.4
     """
 
-    horizontal_alert_limit_m: float = 40.0
-    vertical_alert_limit_m: float = 35.0
     sigma_ura_m: float = 0.75
     sigma_ure_m: float = 0.5
     bias_m: float = 0.75
@@ -85,13 +77,7 @@ class Protection:
 
     def __post_init__(self) -> None:
         """Check the settings; errors as of the class."""
-        lengths = (
-            "horizontal_alert_limit_m",
-            "vertical_alert_limit_m",
-            "sigma_ura_m",
-            "sigma_ure_m",
-            "tolerance_m",
-        )
+        lengths = "sigma_ura_m", "sigma_ure_m", "tolerance_m"
         check_fields(self, lengths, "positive metres", is_positive)
         check_fields(self, ["bias_m"], "0 or more metres", is_not_negative)
         check_fields(
@@ -110,6 +96,7 @@ class Protection:
             raise InputError(
                 f"tolerance_m must be two numbers of metres such as [0.05, 0.0001], got {self.tolerance_m}"
             )
+        object.__setattr__(self, "tolerance_m", tuple(self.tolerance_m))
 
     @property
     def budget(self) -> "RiskBudget":
@@ -119,6 +106,60 @@ class Protection:
         shares = self.phmi_horizontal, self.phmi_vertical, self.pfa_horizontal, self.pfa_vertical
         # In the order of the kernel's fields.
         return RiskBudget(*map(float, (*shares, self.p_unmonitored, *self.tolerance_m)))
+
+
+def support_in(file: str | Path) -> IntegritySupport:
+    """Return the integrity support data in a TOML file, which gives every attribute by its name.
+
+    Raises:
+      InputError: no such file, not TOML, a name that is missing or unknown, or a wrong value.
+    """
+    remedy = "give each name of ju.typing.IntegritySupport a value"
+    with readable(file, "integrity support data in TOML", remedy):
+        values = tomllib.loads(Path(file).read_text(encoding="utf-8-sig"))
+    names = [item.name for item in fields(IntegritySupport)]
+    for name in values:
+        one_of(f"a name in {str(file)!r}", name, names)
+    missing = [name for name in names if name not in values]
+    if missing:
+        raise InputError(f"{str(file)!r} lacks {', '.join(missing)}: {remedy}")
+    return IntegritySupport(**values)
+
+
+@differentiable()
+@typed
+@dataclass(frozen=True)
+class Protection:
+    """Settings of the protection levels; the alert limits and probabilities are by default those of LPV-200.
+
+    LPV-200 (ICAO Annex 10, table 3.7.2.4-1) has two further criteria that are not computed: an effective monitor
+    threshold (EMT) of at most 15 m and a standard deviation of the vertical accuracy of at most 1.87 m. So a position
+    within both alert limits need not meet LPV-200.
+
+    Attributes:
+      horizontal_alert_limit_m: the horizontal protection level at and above which m is 0.
+      vertical_alert_limit_m: the vertical protection level up to which a position counts as available.
+      isd: integrity support data, or a TOML file of it, which is read at once.
+
+    Raises:
+      InputError: a limit that is not positive, or a file that lacks a name of `IntegritySupport` or holds another.
+
+    Examples:
+      >>> made = ju.build_maps(city, grid=maps.grid, altitudes_m=(60.0,), protection=ju.metrics.Protection())
+      >>> round(float(np.nanmin(made.m("hpl"))))  # metres
+      15
+    """
+
+    horizontal_alert_limit_m: float = 40.0
+    vertical_alert_limit_m: float = 35.0
+    isd: IntegritySupport | str | Path = IntegritySupport()
+
+    def __post_init__(self) -> None:
+        """Check the limits and read the file; errors as of the class."""
+        limits = "horizontal_alert_limit_m", "vertical_alert_limit_m"
+        check_fields(self, limits, "positive metres", is_positive)
+        if not isinstance(self.isd, IntegritySupport):
+            object.__setattr__(self, "isd", support_in(self.isd))
 
 
 L1_HZ, L5_HZ = 1575.42e6, 1176.45e6
@@ -153,14 +194,14 @@ def galileo_receiver_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np
     return np.interp(np.degrees(elevation_rad), table_deg, GALILEO_SIGMA_M)
 
 
-def ranging_of(in_view: InView, params: Protection) -> "Ranging":
+def ranging_of(in_view: InView, isd: IntegritySupport) -> "Ranging":
     """Return the geometry and the errors of the ranges to ``S`` satellites, for the kernel: metres and probabilities.
 
     Only Galileo has errors of the receiver of its own; satellites of other constellations have those of GPS.
 
     Args:
       in_view: the satellites.
-      params: errors of orbits and clocks, biases, and probabilities of faults.
+      isd: errors of orbits and clocks, biases, and probabilities of faults.
     """
     from jaxurban.kernels.protection import Ranging
 
@@ -176,20 +217,20 @@ def ranging_of(in_view: InView, params: Protection) -> "Ranging":
     # The variance that the troposphere and the receiver leave, to which those of orbits and clocks are added.
     local_m2 = troposphere_sigma_m(elevation_rad) ** 2 + receiver_m**2
     num = len(systems)
-    p_const = [params.p_const_gps if name == "gps" else params.p_const for name in names]
+    p_const = [isd.p_const_gps if name == "gps" else isd.p_const for name in names]
     return Ranging(
         unit_vectors(in_view.azimuth_rad, elevation_rad),
         constellation.astype(np.int64),
-        np.sqrt(float(params.sigma_ura_m) ** 2 + local_m2),
-        np.sqrt(float(params.sigma_ure_m) ** 2 + local_m2),
-        np.full(num, float(params.bias_m)),
-        np.full(num, float(params.p_sat)),
+        np.sqrt(float(isd.sigma_ura_m) ** 2 + local_m2),
+        np.sqrt(float(isd.sigma_ure_m) ** 2 + local_m2),
+        np.full(num, float(isd.bias_m)),
+        np.full(num, float(isd.p_sat)),
         np.array(p_const, float),
     )
 
 
 def levels_of_satellites(
-    in_view: InView, params: Protection, patterns: UInt[np.ndarray, "W P"]
+    in_view: InView, isd: IntegritySupport, patterns: UInt[np.ndarray, "W P"]
 ) -> np.ndarray:
     """Return ``[2, P]`` float64 the protection levels of P choices of satellites, horizontal and vertical, in metres.
 
@@ -197,12 +238,12 @@ def levels_of_satellites(
 
     Args:
       in_view: all satellites that may be chosen.
-      params: settings.
+      isd: errors, biases and probabilities.
       patterns: the choices: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
     """
     from jaxurban.kernels.protection import protection_levels
 
-    return protection_levels(patterns, ranging_of(in_view, params), params.budget)
+    return protection_levels(patterns, ranging_of(in_view, isd), isd.budget)
 
 
 def protection_maps(
@@ -222,7 +263,7 @@ def protection_maps(
       params: settings.
     """
     choices, number = distinct_choices(words, is_obstacle)
-    hpl_m, vpl_m = levels_of_satellites(in_view, params, choices)
+    hpl_m, vpl_m = levels_of_satellites(in_view, cast(IntegritySupport, params.isd), choices)
     limit_m = params.horizontal_alert_limit_m
     is_within = (hpl_m <= limit_m) & (vpl_m <= params.vertical_alert_limit_m)
     m = 1 - np.minimum(hpl_m, limit_m) / limit_m  # 0 from the limit up, and at HPL = inf

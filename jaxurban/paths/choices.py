@@ -29,7 +29,7 @@ class MapChoice(RulesChoice, total=False):
     """Which map is planned on, as in `jaxurban.cost_map`."""
 
     weights: WeightsLike
-    objective: Objective | None
+    objective: Objective
     time: str | None
     time_of_day: str | None
 

@@ -53,7 +53,6 @@ BOUND = re.compile(
 )
 KEPT_CLEAR = {  # entries of `Constraints.to_dict`, as messages call them
     "clearance_m": "clearance",
-    "vehicle_radius_m": "vehicle's radius",
     "vertical_clearance_m": "vertical clearance",
 }
 GPS_FLOOR = "gps_floor"  # the metric
@@ -164,7 +163,7 @@ def gps_floor_m(maps: "MetricMaps", time: str | None = None) -> np.ndarray:
     name = stored_name(GPS_FLOOR, maps.ds)
     if name not in maps.ds:
         raise InputError(
-            "these maps hold no GPS floor: make them with a section [gps_floor], or leave above_gps_floor "
+            "these maps hold no GPS floor: make them with [gps_floor] dop_threshold, or leave above_gps_floor "
             "(--require gps_floor) out"
         )
     return maps.m(name, time=time)
@@ -185,7 +184,7 @@ class Constraints:
       bounds: what must hold at every cell of a path.
       clearance_m: horizontal distance that paths keep from buildings as high as they fly, and from the maps' border.
       vertical_clearance_m: height that paths keep over roofs; a roof nearer below counts as one as high as they fly.
-      vehicle: what flies; its radius is kept beside ``clearance_m``.
+      vehicle: what flies.
       unknown_heights: how high roofs of unknown height count: ``"highest"``, their bound; ``"likely"``, what 99 % of
         their kind keep below; ``"guess"``, no more than the maps show.
       above_gps_floor: whether paths stay at or above the maps' GPS floor; missions then take off only where it is 0.
@@ -198,7 +197,7 @@ class Constraints:
       InputError: a clearance that is not a number of metres from 0 up.
 
     Examples:
-      >>> limits = ju.Constraints(clearance_m=40.0, vehicle=ju.Vehicle(radius_m=0.5))
+      >>> limits = ju.Constraints(clearance_m=40.5)
       >>> limits.horizontal_m, limits.vertical_m
       (40.5, 3.0)
       >>> apart = ju.plan(maps, start, goal, altitude_m=60.0, objective="distance", constraints=limits)
@@ -273,8 +272,8 @@ class Constraints:
 
     @property
     def horizontal_m(self) -> float:
-        """The clearance and the vehicle's radius."""
-        return self._whole.clearance_m + self._whole.vehicle.radius_m
+        """The horizontal clearance."""
+        return self._whole.clearance_m
 
     @property
     def vertical_m(self) -> float:
@@ -302,9 +301,9 @@ class Constraints:
           `Constraints` whose clearances, in metres, vehicle and rule are all there; this one stays as it is.
 
         Examples:
-          >>> limits = ju.Constraints(clearance_m=5.0).under(maps.planning, ju.Vehicle(radius_m=0.5))
-          >>> limits.clearance_m, limits.vertical_clearance_m, limits.vehicle.radius_m
-          (5.0, 3.0, 0.5)
+          >>> limits = ju.Constraints(clearance_m=5.0).under(maps.planning, ju.Vehicle(speed_m_s=9.0))
+          >>> limits.clearance_m, limits.vertical_clearance_m, limits.vehicle.speed_m_s
+          (5.0, 3.0, 9.0)
         """
         defaults = {**vars(planning.rules), "vehicle": vehicle}
         names = *CLEARANCES, "vehicle", "unknown_heights"
@@ -615,7 +614,7 @@ def describe_kept(record: Mapping[str, Any], resolution_m: float) -> str:
       record: of `Constraints.to_dict`.
       resolution_m: side of a cell; distances come in steps of cells, so that more may be kept.
     """
-    asked_m = record.get("clearance_m", 0.0) + record.get("vehicle_radius_m", 0.0)
+    asked_m = record.get("clearance_m", 0.0)
     least_m = kept_m(asked_m, resolution_m)
     if least_m <= asked_m + FILE_MARGIN_M:
         return ""

@@ -36,7 +36,6 @@ from jaxurban.paths.route_report import (
     OUTSIDE,
     OVER_ROOF,
     VISIBLE,
-    OverflownDensity,
     RouteReport,
 )
 from jaxurban.paths.steps import Steps
@@ -56,7 +55,6 @@ def explain(
     power_w: float | None = None,
     swath_m: float = 10.0,
     num_segments: int = 10,
-    density: OverflownDensity | None = None,
 ) -> RouteReport:
     """Return what a planned route costs and meets, in whole and by segment.
 
@@ -78,7 +76,6 @@ def explain(
       power_w: mean electrical power in flight; left out, that of the vehicle, or else no energy.
       swath_m: width of the strip in which people are counted.
       num_segments: into how many segments of nearly equal length the table is cut, at most.
-      density: of people beneath the corridor, from `overflown_density`, which the report then shows and files hold.
 
     Returns:
       `RouteReport`: totals of the route, a table of its segments and one of its cells, and cautions.
@@ -148,7 +145,6 @@ def explain(
             "power_w": vehicle.power_w,
         },
         cautions=cautions(planned, maps, profile),
-        density=density,
     )
 
 

@@ -114,7 +114,7 @@ def _check_exposure(cost_map: "CostMap", names: Iterable[str]) -> None:
     if cost_map.cost_model.kind == "cell":
         raise InputError(
             "a budget of exposure is of an integral along the path, which cost_model='cell' does not add up: "
-            "choose cost_model='line' (--rules cost_model=line)"
+            "choose cost_model='line' (without --preset paper)"
         )
     for name in names:
         one_of("exposure", name, cost_map.names)

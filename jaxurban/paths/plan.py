@@ -61,11 +61,9 @@ def rules_on(
         maps = maps.with_recorded(recorded | {"planning": own})
         if maps.rule is None:
             maps = maps.with_obstacles(planning.rules.obstacles)
-    if not isinstance(cost_model, CostModel):
-        kind = cost_model or planning.rules.cost_model
-        cost_model = CostModel.from_settings(vars(planning) | {"cost_model": kind})
+    model = CostModel.of(cost_model or planning.rules.cost_model)
     vehicle = Vehicle(**maps.recorded.get("vehicle", {}))
-    return maps, cost_model, (constraints or Constraints()).under(planning, vehicle)
+    return maps, model, (constraints or Constraints()).under(planning, vehicle)
 
 
 @typed
@@ -74,7 +72,7 @@ def cost_map(
     altitude_m: float | Levels,
     *,
     weights: WeightsLike = None,
-    objective: Objective | None = None,
+    objective: Objective = "weighted",
     cost_model: CostModel | CostKind | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
@@ -83,7 +81,7 @@ def cost_map(
 ) -> CostMap:
     """Return the maps at one altitude, or between levels, under weights, on which any number of paths can be planned.
 
-    Weights, objective, cost model, rule of obstacles, clearances and vehicle that are left out here are as the maps'
+    Weights, cost model, rule of obstacles, clearances and vehicle that are left out here are as the maps'
     scenario gives them, if there is one.
 
     Args:
@@ -121,7 +119,7 @@ def cost_map(
     maps, model, limits = rules_on(as_maps(maps), cost_model, constraints, preset)
     rules: dict[str, Any] = {
         "weights": weights_on(maps, weights),
-        "objective": objective or maps.planning.objective,
+        "objective": objective,
         "cost_model": model,
         "constraints": limits.at(time),
         "time": time,

@@ -155,7 +155,6 @@ class RouteReport(FactsRepr):
         middle's ``lon``, ``lat`` and ``z_m``, and the value of every map; ``roof_kind`` where the maps know kinds.
       settings: ``swath_m``, ``speed_m_s`` and ``power_w`` as they were given.
       cautions: what a pilot should know of the route (`jaxurban.cautions`).
-      density: people beneath its corridor, where it was asked for (`overflown_density`).
 
     Examples:
       >>> report = ju.explain(path, maps)
@@ -170,7 +169,6 @@ class RouteReport(FactsRepr):
     profile: pd.DataFrame
     settings: Mapping[str, float | None]
     cautions: list[Caution]
-    density: OverflownDensity | None = None
 
     @property
     def facts(self) -> dict[str, str]:
@@ -209,12 +207,6 @@ class RouteReport(FactsRepr):
         paid = f"{short(layer_costs.max())} of {short(costliest['cost'])}"
         return f"{sentence}; beside its length it pays most for {layer} ({paid})."
 
-    @property
-    def known_cautions(self) -> list[Caution]:
-        """The ``cautions`` of the route, and those of its ``density``, if it has one."""
-        density_cautions = [] if self.density is None else self.density.cautions
-        return self.cautions + density_cautions
-
     def __repr__(self) -> str:
         return "\n".join(
             [f"{type(self).__name__}:", *caution_lines(self.cautions), "", self.table()]
@@ -235,7 +227,7 @@ class RouteReport(FactsRepr):
           >>> round(record["length_m"]), [each["segment"] for each in record["segments"]]
           (848, [1, 2, 3])
         """
-        record: dict[str, Any] = {
+        return {
             **numbers_or_none(self.settings),
             **numbers_or_none(self.totals),
             "why": self.why,
@@ -245,15 +237,12 @@ class RouteReport(FactsRepr):
                 for number, row in self.segments.to_dict("index").items()
             ],
         }
-        if self.density is not None:
-            record["overflown_density"] = self.density.to_dict()
-        return record
 
     def table(self) -> str:
         """Return the report for a terminal: totals, `why`, and segments.
 
         Returns:
-          Text of a line for each total, and after an empty line each `why`, a line for each segment, and the density.
+          Text of a line for each total, and after an empty line each `why`, and a line for each segment.
 
         Examples:
           >>> print(ju.explain(path, maps).table())
@@ -268,8 +257,7 @@ class RouteReport(FactsRepr):
             f"{name:<24}{fact}" for name, fact in self.facts.items() if name != "why"
         )
         segments = self._segments().to_string(col_space=8) if len(self.segments) else "segment"
-        density = "" if self.density is None else self.density.table()
-        return "\n\n".join(filter(None, [totals, self.why, segments, density]))
+        return "\n\n".join(filter(None, [totals, self.why, segments]))
 
     def _segments(self) -> pd.DataFrame:
         """Return the columns of the segments that a terminal has room for, as texts under short heads.

@@ -217,7 +217,7 @@ def _times_held(maps: MetricMaps, time: str | None, time_of_day: str | None) -> 
     table = pd.DataFrame(product(times, times_of_day), columns=TIMES)
     if len(table) == 1:
         raise InputError(
-            "there is one time alone to fly at: make maps of several, as with gps=Gps(start=..., stop=..., "
+            "there is one time alone to fly at: make maps of several, as with gps=Gps(times=(FIRST, LAST), "
             'step_s=3600, series="epochs"), and leave time or time_of_day out'
         )
     return table

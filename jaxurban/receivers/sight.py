@@ -133,7 +133,7 @@ class Sight:
         """
         gps = replace(self.params.gps, series="epochs", bounds=False)
         if times is not None:
-            gps = replace(gps, times=tuple(times), start=None, stop=None, step_s=None)
+            gps = replace(gps, times=tuple(times), step_s=None)
         if reference is not None:
             gps = replace(gps, reference=reference)
         params = replace(self.params, altitudes_m=(altitude_m,), sections={"gps": gps})

@@ -10,13 +10,12 @@ from jaxurban.terminal.common import (
     COUNT,
     DEVICE,
     JSON_FLAG,
-    MAPS,
     MAPS_PATH,
     OUTPUT,
     OVERWRITE,
+    RESOLUTION,
     SEED,
     SHOWN,
-    MapsOf,
     finite_records,
     log_lines,
     print_json,
@@ -30,7 +29,7 @@ from jaxurban.terminal.options import command
 @click.argument("folder_a", metavar="DIR_A", type=MAPS_PATH)
 @click.argument("folder_b", metavar="DIR_B", type=MAPS_PATH)
 @OUTPUT
-@MAPS
+@RESOLUTION
 @SHOWN(
     "--routes",
     type=COUNT,
@@ -45,7 +44,7 @@ def compare_command(
     folder_a: Path,
     folder_b: Path,
     output: Path,
-    maps_of: MapsOf,
+    resolution_m: float | None,
     overwrite: bool,
     as_json: bool,
     **options: Any,
@@ -57,9 +56,10 @@ def compare_command(
 
     # All options that are not named above are arguments of the comparison, which is imported when it runs.
     def study(progress: Any) -> Any:
-        return jaxurban.studies.compare(
-            maps_of(folder_a), maps_of(folder_b), progress=progress, **options
-        )
+        from jaxurban.paths.rows import MapsFolder
+
+        a, b = MapsFolder(folder_a, resolution_m), MapsFolder(folder_b, resolution_m)
+        return jaxurban.studies.compare(a, b, progress=progress, **options)
 
     result = run_study("compare", output, study, overwrite)
     log_lines(result.decided.facts)

@@ -147,7 +147,7 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
     metrics = [", ".join(cost_map.weight_names) for cost_map in cost_maps]
     _check_same(metrics, "metrics: make all from the same kinds of sources")
     models = [cost_map.cost_model for cost_map in cost_maps]
-    _check_same(models, "cost models: name one for all (--rules cost_model=, cost_model=)")
+    _check_same(models, "cost models: name one for all (--preset, cost_model=)")
     if models[0].kind == "cell":
         sides = [f"{cost_map.grid.resolution_m:g} m" for cost_map in cost_maps]
         _check_same(
@@ -198,9 +198,15 @@ def command_to_plan(query: RouteQuery, weights: Weights) -> str:
     ends_m = [cost_map.grid.xy_of_cell(*cell) for cell in (query.start, query.goal)]
     return (
         f"jaxurban plan {cost_map.maps.folder or 'DIR'} {ends_option(cost_map.grid, ends_m)} "
-        f"--altitude {cost_map.altitude_m:g} --rules cost_model={cost_map.cost_model.kind} "
+        f"--altitude {cost_map.altitude_m:g} {preset_option(cost_map)}"
         f"--weights {weights_option(weights)}"
     )
+
+
+def preset_option(cost_map: CostMap) -> str:
+    """Return the option of the preset under which is planned, with a space behind; empty without one."""
+    preset = cost_map.maps.planning.preset
+    return f"--preset {preset} " if preset else ""
 
 
 def weights_option(weights: Weights) -> str:

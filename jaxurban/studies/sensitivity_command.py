@@ -10,18 +10,17 @@ from jaxurban.studies.weights.settings import SensitivitySettings
 from jaxurban.terminal.common import (
     GIVEN,
     JSON_FLAG,
-    MAPS,
     MAPS_PATH,
     OVERWRITE,
     PATH,
     PLACE,
     POSITIVE_COUNT,
     PROCESSES,
+    RESOLUTION,
     RULES,
     SHOWN,
     SNAP,
     WEIGHTS,
-    MapsOf,
     Point,
     Settings,
     all_cores,
@@ -86,7 +85,7 @@ def routes_in(ctx: click.Context, param: click.Parameter, text: str | None) -> i
     default="",
     help="What is asked of every route.",
 )
-@MAPS
+@RESOLUTION
 @WEIGHTS
 @RULES
 @PROCESSES
@@ -103,7 +102,7 @@ def sensitivity_command(
     vary: tuple[str, ...],
     factors: tuple[float, float],
     study: Settings,
-    maps_of: MapsOf,
+    resolution_m: float | None,
     weights: dict[str, float],
     rules: Settings,
     workers: int | None,
@@ -120,6 +119,7 @@ def sensitivity_command(
     settings = SensitivitySettings(vary=vary, factors=factors, **study)
 
     from jaxurban.io.tables import read_table, records_of
+    from jaxurban.paths.rows import MapsFolder
     from jaxurban.studies.reports.run_sensitivity import sensitivity
 
     asked: Any = routes or DRAWN_ROUTES
@@ -128,9 +128,8 @@ def sensitivity_command(
         workers = 1
     elif isinstance(routes, Path):
         asked = read_table(routes, "routes")
-    obstacles = rules.pop("obstacles")
     result = sensitivity(
-        [maps_of(folder, obstacles) for folder in folders],
+        [MapsFolder(folder, resolution_m) for folder in folders],
         output,
         asked,
         altitudes_m=altitudes_m,

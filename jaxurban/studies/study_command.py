@@ -87,17 +87,10 @@ def study_command(
     from jaxurban.maps.provenance import finished
     from jaxurban.maps.run import run_scenario
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.planners.cost import CostModel
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
     from jaxurban.studies.montecarlo.study import land_cover_of, study, without_sampling
 
-    planning = scenario.planning
     settings = scenario.study
-    kind = settings.cost_model or planning.rules.cost_model
-    rules: Settings = {
-        "cost_model": CostModel.from_settings(vars(planning) | {"cost_model": kind}),
-        "constraints": constraints.under(planning, scenario.vehicle),
-    }
 
     # What cannot be read or written is refused before anything is made. Then the maps are made.
     workers = workers or all_cores()
@@ -122,7 +115,7 @@ def study_command(
             altitudes_m=settings.altitudes_m,
             weights=settings.weights,
             seed=settings.seed,
-            **rules,
+            constraints=constraints,
         )
     result = study(
         source,
@@ -131,7 +124,7 @@ def study_command(
         settings=without_sampling(settings),
         workers=workers,
         overwrite=overwrite,
-        **rules,
+        constraints=constraints,
     )
     result = replace(result, scenario=str(scenario_file))
     report_file = result.save(analysis)[-1]

@@ -289,7 +289,7 @@ def _cost_maps(maps: MetricMaps, lines: Sequence[Line], rules: RulesChoice) -> M
             if other != models[first]:
                 raise InputError(
                     f"{first} was planned under the cost model {models[first]} and {name} under {other}: fit them "
-                    "apart, or name one for all (--rules cost_model=, cost_model=)"
+                    "apart, or name one for all (--preset, cost_model=)"
                 )
         given["cost_model"] = models.get(first)
     maps, route_rules = RouteRules(**given).under(maps)
@@ -302,7 +302,7 @@ def _cost_maps(maps: MetricMaps, lines: Sequence[Line], rules: RulesChoice) -> M
         if before != now:
             warn(
                 f"{name} was planned under {before} and is fitted under {now}: give what it was planned under "
-                "(--rules, --no-fly, --require; cost_model=, constraints=)",
+                "(--preset, --rules, --no-fly, --require; cost_model=, constraints=)",
                 OtherSettingsWarning,
             )
             break

@@ -11,14 +11,13 @@ from jaxurban.terminal.common import (
     DEVICE,
     GIVEN,
     JSON_FLAG,
-    MAPS,
     NAMES,
     NUMBER,
     OUTPUT,
     OVERWRITE,
     POSITIVE_COUNT,
+    RESOLUTION,
     RULES,
-    MapsOf,
     Settings,
     log_lines,
     print_json,
@@ -81,7 +80,7 @@ class Fit(TypedDict):
 @click.option(
     "--time", help="Time of the GPS map, UTC.  [default: the routes' own, else the first]"
 )
-@MAPS
+@RESOLUTION
 @RULES
 @click.option("--fit", type=Values(Fit), default="", help="How weights are fitted.")
 @OVERWRITE
@@ -93,7 +92,7 @@ def tune_command(
     sample: int | None,
     pilot: str | None,
     wishes: tuple[str, ...],
-    maps_of: MapsOf,
+    resolution_m: float | None,
     rules: Settings,
     fit: Settings,
     overwrite: bool,
@@ -115,12 +114,12 @@ def tune_command(
         )
 
     from jaxurban.metrics.weights import Weights
+    from jaxurban.paths.rows import MapsFolder
     from jaxurban.studies.reports.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
 
     # What decides the fit: ``routes`` holds all further options, which are of the routes, and gets the rules. A preset
     # that is not given is an empty text, and weights that the pilot does not name are 0.
-    obstacles = rules.pop("obstacles")
     routes |= rules | {"preset": rules["preset"] or None}
     pilot_weights = None
     if pilot is not None:
@@ -142,7 +141,7 @@ def tune_command(
             files = files_of.setdefault(word, [])
         else:
             files.append(word)
-    sources = {maps_of(folder, obstacles): files for folder, files in files_of.items()}
+    sources = {MapsFolder(folder, resolution_m): files for folder, files in files_of.items()}
     facts = run_tuning(sources, output, settings, overwrite=overwrite)
 
     # What is printed: the message, warnings that it does not hold, and the weights.

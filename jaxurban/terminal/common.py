@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -19,7 +19,7 @@ from jaxurban.io.stored import stored_maps
 from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.suffixes import PICTURES
 from jaxurban.progress import LOG, reporting
-from jaxurban.settings import CLEARANCES, ObstacleRule, Planning, Preset
+from jaxurban.settings import CLEARANCES, Planning, Preset
 from jaxurban.terminal.options import (
     Names,
     Numbers,
@@ -34,12 +34,10 @@ if TYPE_CHECKING:
     from jaxurban.draw.write import Output
     from jaxurban.io.results import Result
     from jaxurban.paths.constraints import Constraints
-    from jaxurban.paths.rows import MapsFolder
 
 StudyResult = TypeVar("StudyResult", bound="Result")
 Settings = dict[str, Any]
 Point = tuple[float, float]  # of LONLAT
-MapsOf = Callable[..., "MapsFolder"]  # the maps of a folder, not opened yet
 
 
 class NamedPath(click.Path):
@@ -190,18 +188,6 @@ def weights_in(ctx: click.Context, param: click.Parameter, text: str) -> dict[st
     return Weights.named_in(text)
 
 
-def folders_of(resolution_m: float | None) -> MapsOf:
-    """Return a function of a folder, and of the rule of obstacles, that returns the folder's maps, not opened yet."""
-
-    def maps_of(folder: Path, obstacles: ObstacleRule | None = None) -> "MapsFolder":
-        """Return the maps of a folder; whoever wants them is about to compute."""
-        from jaxurban.paths.rows import MapsFolder
-
-        return MapsFolder(folder, resolution_m, obstacles)
-
-    return maps_of
-
-
 def constraints_given(
     no_fly: tuple[Path, ...], require: tuple[str, ...], rules: Settings | None = None
 ) -> "Constraints":
@@ -223,35 +209,14 @@ def constraints_given(
 def rules_of(
     preset: Preset, no_fly: tuple[Path, ...], require: tuple[str, ...], rules: Settings
 ) -> Settings:
-    """Return under what routes are planned: keywords of `jaxurban.cost_map`, and ``obstacles``, which are the maps'.
+    """Return under what routes are planned: keywords of `jaxurban.cost_map`.
 
     Args:
       preset: decides what is left out here and in the scenario.
       no_fly, require: as of `constraints_given`.
       rules: what ``--rules`` gives.
     """
-    return {
-        "preset": preset,
-        "cost_model": rules.pop("cost_model", None),
-        "obstacles": rules.pop("obstacles", None),
-        "constraints": constraints_given(no_fly, require, rules),
-    }
-
-
-class Corridor(TypedDict):
-    """The corridor of a flight beneath which the density of people is taken (`jaxurban.overflown_density`).
-
-    Attributes:
-      half_width_m: width of the volume that is flown in, to each side.
-      contingency_m: width of the contingency volume around it, else 0.
-      buffer_m: width of the ground risk buffer around both, else the flight's height (1:1 rule).
-      cell_m: side of the cells of the mean, else 200; 100 and 500 are reported too.
-    """
-
-    half_width_m: float
-    contingency_m: float
-    buffer_m: float
-    cell_m: float
+    return {"preset": preset, "constraints": constraints_given(no_fly, require, rules)}
 
 
 def workers_of(workers: int | None, cluster: str | None) -> int | str | None:
@@ -298,7 +263,6 @@ RESOLUTION = NUMBER(
     "resolution_m",
     help="Cell size of the maps in metres; needed where DIR holds several.",
 )
-MAPS = grouped_options("maps_of", folders_of, RESOLUTION)
 CEILING = SHOWN(
     "--ceiling",
     "ceiling_m",
@@ -328,7 +292,7 @@ PRESET = click.option(
     type=click.Choice(["paper"]),
     callback=lambda ctx, param, name: name or "",
     help="Plan as the paper does: cost model cell, obstacles at centres, no clearance, "
-    "where neither the scenario nor another option says so.",
+    "where neither the scenario nor --rules says so.",
 )
 WEIGHTS = click.option(
     "--weights",
@@ -342,7 +306,7 @@ RULES = grouped_options(
     PRESET,
     ZONES,
     RULE_VALUES(
-        type=Values(Planning, (*CLEARANCES, "unknown_heights", "obstacles", "cost_model")),
+        type=Values(Planning, (*CLEARANCES, "unknown_heights")),
         help="What routes keep, else the scenario's.",
     ),
 )
@@ -370,15 +334,10 @@ ROUTE = options_together(  # a route over maps
     ),
     TIME_OF_DAY,
     click.option("--time", help="Time of the GPS map, UTC.  [default: the first]"),
-    MAPS,
+    RESOLUTION,
     WEIGHTS,
     RULES,
     SNAP,
-)
-CORRIDOR = click.option(
-    "--corridor",
-    type=Values(Corridor),
-    help="Report the density of people beneath a corridor, for a ground risk assessment.",
 )
 PROCESSES = click.option(
     "--workers", type=POSITIVE_COUNT, help="Number of processes (Dask).  [default: all cores]"

@@ -23,7 +23,6 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import cell_at
 from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.paths.route_report import RouteReport
-from jaxurban.planners.cost import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.settings import DEFAULTS, PlannerName, Preset
 from jaxurban.viewer.requests import Plan, RulesRequest
@@ -33,7 +32,7 @@ ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the comm
 SAMPLING_BUDGET_S = 2.0  # sampling planners take all that they may
 NUM_ROUTES = 16  # that are kept
 OF_MAP = attrgetter(  # of a query: what its cost map depends on, beside its place in the maps and weights
-    "cost_model", "obstacles", "clearance_m", "vertical_clearance_m", "unknown_heights", "zones"
+    "clearance_m", "vertical_clearance_m", "unknown_heights", "zones"
 )
 
 
@@ -48,7 +47,7 @@ class Plans:
 
     Attributes:
       maps: the maps under the preset's rule of obstacles.
-      cost_model: of its settings the page chooses the kind, which is where it starts, and leaves the others.
+      cost_model: how routes are costed.
       limits: of these the page chooses clearances and zones, and leaves the others; it starts at their clearances.
     """
 
@@ -96,9 +95,8 @@ class Plans:
 
     def _explain(self, planned: PlannedPath, query: Plan) -> RouteReport:
         """Return the report of a route, flown at the speed and with the power of the query."""
-        maps = self.maps.with_obstacles(query.obstacles)
-        report = explain(planned, maps, speed_m_s=query.speed_m_s, power_w=query.power_w)
-        return with_return_altitude(report, planned, maps)
+        report = explain(planned, self.maps, speed_m_s=query.speed_m_s, power_w=query.power_w)
+        return with_return_altitude(report, planned, self.maps)
 
     def file(self, query: Plan, at: OneMap, suffix: str) -> bytes:
         """Return a route as the bytes of a file, as ``jaxurban plan -o`` writes it.
@@ -160,8 +158,6 @@ class Plans:
         limits = self.constraints(query)
         search = {"planner": query.planner, "budget_s": _budget_s(query.planner), "seed": 0}
         rules = {
-            "cost_model": query.cost_model,
-            "obstacles": query.obstacles,
             "clearance_m": limits.clearance_m,
             "vertical_clearance_m": limits.vertical_clearance_m,
             "unknown_heights": limits.unknown_heights,
@@ -175,8 +171,8 @@ class Plans:
             "--time": at.time,
             "--time-of-day": at.time_of_day,
             "--weights": _named(query.weights),
+            "--preset": self.maps.planning.preset or None,
             "--planner": _named(search),
-            "--objective": "weighted",
             "--rules": _named(rules),
             "--no-fly": ZONES_FILE if query.zones else None,
             "--report": _named(flight) or None,
@@ -208,11 +204,10 @@ class Plans:
 
         def make() -> CostMap:
             """Return the cost map, made from the maps; the query's weights are not in it yet."""
-            settings = self.cost_model.settings | {"cost_model": query.cost_model}
             return cost_map(
-                self.maps.with_obstacles(query.obstacles),
+                self.maps,
                 altitude_m,
-                cost_model=CostModel.from_settings(settings),
+                cost_model=self.cost_model,
                 time=at.time,
                 time_of_day=at.time_of_day,
                 objective="weighted",

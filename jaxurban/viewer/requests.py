@@ -6,7 +6,7 @@ from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, ValidationError
 
 from jaxurban.errors import InputError
 from jaxurban.flights.missions.parts import Datum
-from jaxurban.settings import DEFAULTS, CostKind, ObstacleRule, Rules, UnknownHeights
+from jaxurban.settings import DEFAULTS, Rules, UnknownHeights
 
 MOST_LETTERS = 64 * 1024  # of zones
 Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]
@@ -48,8 +48,6 @@ class Plan(RulesRequest):
     goal: Place
     weights: dict[Name, Weight]
     planner: Name = DEFAULTS.planner
-    cost_model: CostKind = Rules.cost_model
-    obstacles: ObstacleRule = Rules.obstacles
     flight_m: Metres | None = None
     speed_m_s: Metres | None = None
     power_w: Metres | None = None

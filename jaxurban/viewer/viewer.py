@@ -214,8 +214,6 @@ class Viewer:
             "step_m": STEP_M,
             "group_colours": list(GROUP_COLOURS.values()),
             "fields": {
-                "cost_model": self.plans.cost_model.kind,
-                "obstacles": self.maps.obstacles,
                 "clearance_m": self.plans.limits.clearance_m,
                 "vertical_clearance_m": self.plans.limits.vertical_clearance_m,
                 "unknown_heights": self.plans.limits.of_unknown,

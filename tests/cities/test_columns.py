@@ -119,7 +119,7 @@ ASKED: dict[str, tuple[Mapping[str, Any], str, str]] = {
 def test_heights_without_a_known_unit_are_asked_for_and_the_settings_answer(tmp_path, name):
     about, crs, column = ASKED[name]
     path = tmp_path / "city.gpkg"
-    sentence = f"'{column}'.* unit: set .buildings. height_column = .{column}. and unit = .ft. or"
+    sentence = f"'{column}'.* unit: set ju.Buildings.height_column=.{column}.. and unit = .ft. or"
     with pytest.raises(ju.InputError, match=sentence) as error:
         heights(path, [about], crs)
     assert "\n" not in str(error.value)
@@ -227,9 +227,9 @@ def test_columns_of_people_that_differ_are_refused(tmp_path):
         return blocks.night_count.tolist()
 
     joined = {"POP_2020": [321, 885], "count": [7, 8]}
-    with pytest.raises(ju.InputError, match=r"POP_2020, count: name the one in .population. col"):
+    with pytest.raises(ju.InputError, match=r"POP_2020, count: name the one in ju.Population.col"):
         people(**joined)
     assert people("POP_2020", **joined) == people(TOT_P_2021=[321, 885]) == [321, 885]
     assert people(POP100=[5, 6], P0010001=[5, 6], pop_density=[1.0, 2.0]) == [5, 6]
-    with pytest.raises(ju.InputError, match=r"has no field residents.*population. column"):
+    with pytest.raises(ju.InputError, match=r"has no field residents.*ju.Population.column"):
         people("residents", **joined)

@@ -80,7 +80,7 @@ def test_heights_are_taken_row_by_row_in_their_unit(tmp_path, columns):
 @pytest.mark.parametrize("column", ["h", "ht", "bldg_ht", "roof_z", "z_max", "b3_h_dak_m", "Höhe"])
 def test_plain_names_of_heights_are_asked_for(tmp_path, column):
     path = table(tmp_path / "city.geojson", [HOUSE, TOWER], **{column: [8, 150]})
-    with pytest.raises(ju.InputError, match=f'height_column = "{column}"'):
+    with pytest.raises(ju.InputError, match=f'height_column="{column}"'):
         heights(path)
 
 

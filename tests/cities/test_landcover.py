@@ -130,7 +130,7 @@ def test_a_study_takes_the_land_cover_from_where_there_is_one(tmp_path):
     assert (
         land_cover_of(scenario("heights.tif", land_cover=str(tmp_path / "cover.osm"))) is not None
     )
-    with pytest.raises(ju.InputError, match="land_cover must be an OpenStreetMap file"):
+    with pytest.raises(ju.InputError, match=r"land_cover=\.\.\.\) must be an OpenStreetMap file"):
         land_cover_of(scenario("heights.tif", land_cover="cover.tif"))
 
 
@@ -218,7 +218,7 @@ def test_what_is_kept_beyond_a_declared_box_still_shadows(tmp_path):
             osm(line(9, corners, building="yes", height="500"), boxes=boxes)
         )
         city = ju.City.from_files(
-            ju.Buildings(tmp_path / name, allow_none=True), bounds=BOUNDS, crs=UTM
+            ju.Buildings(tmp_path / name, allow=("none",)), bounds=BOUNDS, crs=UTM
         )
         return ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,)).m("num_visible", 20.0)
 

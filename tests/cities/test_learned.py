@@ -211,7 +211,7 @@ def test_users_word_takes_nothing_back_that_the_file_says(tmp_path):
 
 
 def test_word_of_the_user_is_a_guess_of_the_city_and_of_its_scenario(tmp_path):
-    with pytest.warns(ju.GuessWarning, match="highest_m = 40"):
+    with pytest.warns(ju.GuessWarning, match="highest_m=40"):
         city = ju.City.from_files(
             ju.Buildings("sample:lower-manhattan", highest_m=40.0),
             bounds=(-74.012, 40.705, -74.010, 40.707),

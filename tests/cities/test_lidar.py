@@ -124,7 +124,7 @@ def test_heights_come_in_metres_whatever_the_header_calls_them(tmp_path, crs, un
 @pytest.mark.parametrize(
     ("how", "sentence"),
     [
-        ({"crs": None}, r'no CRS that is known: set \[buildings\] crs.*"EPSG:28992\+5709"'),
+        ({"crs": None}, r'no CRS that is known: set ju\.Buildings\(crs.*"EPSG:28992\+5709"'),
         ({"crs": "EPSG:2263"}, r"which unit its heights are .*US survey foot.*EPSG:2263\+6360"),
         ({"crs": UTM, "keys": {4099: 9999}}, "which unit its heights are"),
         ({"keep": CLASSES == 6}, r"no elevation in the region.*ground have class 2"),
@@ -185,7 +185,7 @@ def test_points_are_plants_and_ground_of_other_buildings(tmp_path):
     heights = write_raster(tmp_path / "r.tif", roofs)
     city = city_of(heights, terrain=points, vegetation=points)
     assert at(city.vegetation, 65, 25) == pytest.approx(TREE_M, abs=0.01)
-    with pytest.raises(InputError, match=r"stand on the ground.*\[terrain\] source"):
+    with pytest.raises(InputError, match=r"stand on the ground.*ju\.Terrain\(source"):
         city_of(heights, vegetation=points)
 
 

@@ -347,13 +347,13 @@ def test_elevations_are_not_heights_in_any_format(tmp_path, kind, base_m, level_
         return
     with pytest.raises(ju.InputError, match=r"elevations above the sea .*ground_column"):
         city_of(source, bounds=bounds, **more)
-    city_of(ju.Buildings(source, allow_high=True), bounds=bounds, **more)
+    city_of(ju.Buildings(source, allow=("high",)), bounds=bounds, **more)
 
 
 @pytest.mark.parametrize(
     ("heights", "is_refused"),
     [
-        (np.linspace(62, 400, 25), True),  # towers alone: allow_high says so
+        (np.linspace(62, 400, 25), True),  # towers alone: allow says so
         ([*np.linspace(62, 400, 24), 8.0], False),
         (1600 + LOW, True),  # above all buildings of the Earth, and so unreadable
         (np.full(19, 510.0), False),

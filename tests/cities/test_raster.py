@@ -256,7 +256,7 @@ def surface_on(terrain, heights):
 @pytest.mark.parametrize("built_share", [0.1, 0.5, 0.85])
 def test_a_surface_is_refused_with_the_share_seen_and_heights_are_taken_however_dense(built_share):
     check_is_no_surface("h.tif", city_heights(built_share), UTM)
-    remedy = r'kind = "surface".*\[terrain\] source'
+    remedy = r'kind="surface".*ju\.Terrain\(source'
     with pytest.raises(
         ju.InputError, match=rf"'h\.tif' looks like a surface model.*\d+% of its blocks.*{remedy}"
     ):
@@ -281,7 +281,7 @@ def test_a_surface_less_a_terrain_of_another_grid_gives_the_heights_back():
 
 def test_a_surface_needs_terrain_and_one_that_goes_with_it():
     surface = surface_on(hills(), heights := city_heights(0.5))
-    with pytest.raises(ju.InputError, match=r"s\.tif.*\[terrain\] source"):
+    with pytest.raises(ju.InputError, match=r"s\.tif.*ju\.Terrain\(source"):
         heights_of_surface("s.tif", surface, None, UTM)
     for other in (heights, replace(surface, values=surface.values + 34)):
         with pytest.raises(

@@ -162,7 +162,7 @@ BROKEN_OSM = (
             partial(buildings, kind="surface"),
             "city.geojson",
             b"",
-            'kind = "surface" is for rasters',
+            'kind="surface".* is for rasters',
         ),
         (partial(buildings, hanging=SLABS), "roofs.tif", b"", "is for outlines"),
         (
@@ -203,7 +203,7 @@ BROKEN_OSM = (
             counts,
             "a.csv",
             f"id,a,b\n{BLOCK},1,2\n".encode(),
-            "name one of 'id', 'a', 'b' in .population. column",
+            "name one of 'id', 'a', 'b' in ju.Population.column",
         ),
         (
             counts,
@@ -215,14 +215,14 @@ BROKEN_OSM = (
             blocks,
             "a.gpkg",
             of([SQUARE], GEOID10=[BLOCK]),
-            r"no field of population .* set \[population\] table",
+            r"no field of population .* set ju\.Population\(table",
         ),
         (blocks, "people.tif", pixels(1, -200), "1 pixels of less than 0 people: declare"),
         (
             partial(blocks, table="a.csv"),
             "people.tif",
             pixels(1),
-            "leave .population. table and column out",
+            "leave ju.Population.table=.... and column out",
         ),
         (
             partial(blocks, bounds_m=(0, 0, 10, 10)),
@@ -241,7 +241,7 @@ BROKEN_OSM = (
             cover,
             "a.pbf",
             b"not a pbf at all",
-            r"fetch it again, or name another file in \[study\] land_cover",
+            r"fetch it again, or name another file in ju\.studies\.Study\(land_cover",
         ),
         (read_labels, "torn.gpkg", b"SQLite format 3\x00 torn", "cannot be read as a vector file"),
         (read_labels, "empty.geojson", write_features, "holds no polygons"),

@@ -199,7 +199,7 @@ def test_a_scenario_of_a_sample_holds_no_path_of_this_machine(name, tmp_path):
 def test_a_scenario_of_a_sample_keeps_what_it_says_itself():
     settings = {
         "buildings": {"source": "sample:lower-manhattan"},
-        "gps": {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T01:00:00Z", "step_s": 3600},
+        "gps": {"times": ["2020-04-27T00:00:00Z", "2020-04-27T01:00:00Z"], "step_s": 3600},
         "population": {"time_of_day": "night"},
     }
     scenario = Scenario.from_dict(settings)

@@ -117,7 +117,7 @@ def test_a_goal_that_is_walled_in_ends_with_exit_code_three(tmp_path, capsys):
 def test_a_region_without_buildings_is_fine_when_asked_for(tmp_path, capsys):
     scenario = write_city(tmp_path, box(-73.95, 40.75, -73.949, 40.751))
     assert (
-        run(capsys, "maps", scenario, "-o", tmp_path / "out", "--set", "buildings.allow_none=true")[
+        run(capsys, "maps", scenario, "-o", tmp_path / "out", "--set", "buildings.allow=['none']")[
             0
         ]
         == 0
@@ -163,8 +163,36 @@ def test_further_maps_are_written_when_they_are_asked_for(made, tmp_path, capsys
 
 
 @pytest.mark.slow
+def test_several_scenarios_are_made_in_one_call_and_a_refused_one_keeps_none_from_it(
+    made, tmp_path, capsys
+):
+    texts = {name: (made.parent / "town.toml").read_text() for name in ("a", "bad", "c")}
+    texts["bad"] = texts["bad"].replace("resolution_m = ", "resolution_m = -")
+    for name, text in texts.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+    files = [tmp_path / f"{name}.toml" for name in texts]
+    few = "--set", "region.altitudes_m=[20]", "--set", "gps.mask_deg=60"
+    code, out, err = run(capsys, "maps", *files, "-o", tmp_path / "out", *few, "--json")
+    entries = json.loads(out)["scenarios"]
+    assert code == 2
+    assert [each["exit_code"] for each in entries] == [0, 2, 0]
+    assert (err.count("maps finished: "), err.count("error: ")) == (2, 1)
+    for warning in {*entries[0]["warnings"], *entries[2]["warnings"]}:
+        assert err.count(f"warning: {warning} (2 of 3 scenarios)") == 1
+    runs = [tmp_path / "out" / name / "run.json" for name in ("a", "c")]
+    before = [file.stat().st_mtime_ns for file in runs]
+    assert run(capsys, "maps", files[0], files[2], "-o", tmp_path / "out", *few)[0] == 0
+    assert [file.stat().st_mtime_ns for file in runs] == before
+
+    code, _, err = run(capsys, "maps", files[0], files[0], "-o", tmp_path / "none")
+    assert code == 2
+    assert_one_sentence(err, "two scenarios have one name")
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.slow
 def test_a_long_series_of_epochs_is_kept_as_statistics(made, tmp_path, capsys):
-    series = ('start="2020-04-27T00:00:00Z"', 'stop="2020-04-27T23:59:00Z"', "step_s=3000")
+    series = ('times=["2020-04-27T00:00:00Z", "2020-04-27T23:59:00Z"]', "step_s=3000")
     given = (part for setting in series for part in ("--set", f"gps.{setting}"))
     assert run(capsys, "maps", made.parent / "town.toml", "-o", tmp_path, *given)[0] == 0
     names = names_in(tmp_path / "geotiff")

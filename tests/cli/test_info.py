@@ -102,7 +102,7 @@ def test_info_knows_element_sets_by_their_satellites_and_dates(capsys, tmp_path)
     num = sum(line.startswith("1 ") for line in path.read_text().splitlines())
     assert code == 0
     assert out.startswith(f"holds  orbits of {num} satellites from 2018-12-")
-    assert f"orbits = '{path}' in [gps]" in out
+    assert f"[gps] orbits = '{path}' in a scenario" in out
 
 
 def test_info_says_what_orbits_need_whose_reader_is_not_installed(capsys, tmp_path, monkeypatch):

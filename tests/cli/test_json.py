@@ -126,7 +126,7 @@ def test_quick_commands_print_what_the_schema_says(name, made, tmp_path, capsys)
         "maps": ("maps", made.parent / "town.toml", "-o", made),
         "info": ("info", made),
         "info-file": ("info", tmp_path / "city.geojson"),
-        "plan": ("plan", made, *ROUTE, "--report", "--corridor", 10),
+        "plan": ("plan", made, *ROUTE, "--report"),
         "when": ("plan", made, *ROUTE, "--when"),
         "compare": ("compare", made, made, "-o", tmp_path / "out"),
         "sky": ("sky", made, "--at=-73.997,40.758", "--altitude", 20),

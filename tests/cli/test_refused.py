@@ -81,7 +81,7 @@ REFUSED = [
         )
     ),
     (f"{FROM}'\"torn.osm.pbf\"'", "torn.osm.pbf", "cannot be read"),
-    (f"{FROM}'\"far.geojson\"'", "no building in the region", "-73.95", "allow_none"),
+    (f"{FROM}'\"far.geojson\"'", "no building in the region", "-73.95", "allow ="),
     (f"{FROM}'\"a\\u0000b.geojson\"'", "buildings", "null"),
     *(
         (f"info no{end}", f"no{end}' does not exist: check the path")

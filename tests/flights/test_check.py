@@ -842,6 +842,9 @@ def test_a_height_above_the_ellipsoid_says_what_is_missing_once_the_geoid_is_nam
         assert any(line.startswith("  not judged: ") for line in result.lines)
 
 
+AT_WALLS = ju.Constraints(clearance_m=0.0, vertical_clearance_m=0.0)
+
+
 def test_what_is_flown_into_is_named_by_its_kind_by_outlines_and_by_cells():
     maps, city = maps_of_kinds()
     corner_m = np.array(maps.grid.bounds_m[:2])
@@ -852,7 +855,7 @@ def test_what_is_flown_into_is_named_by_its_kind_by_outlines_and_by_cells():
             for corner in corners
         ]
         mission = mission_of(*places, home=places[0])
-        result = ju.check(maps, mission, sources=sources, clearance_m=0, vertical_clearance_m=0)
+        result = ju.check(maps, mission, sources=sources, constraints=AT_WALLS)
         return [text.partition(" m ")[2] for text in result.findings["what"]]
 
     # Through a tree, plants of the raster, another tree and a wood; and through a wire.

@@ -20,6 +20,7 @@ from tests.made_maps import made_maps
 
 SIDE_M, NUM = 600.0, 60
 CLEAR_M, ABOVE_M = 6.0, 3.0
+LIMITS = ju.Constraints(clearance_m=CLEAR_M, vertical_clearance_m=ABOVE_M)
 GUESS_M, BOUND_M = 20.0, 55.0
 
 
@@ -80,7 +81,7 @@ def places_of(maps, seed: int, num: int) -> list[Place]:
 
 
 def judged(maps, city, mission: Mission):
-    return ju.check(maps, mission, sources=city, clearance_m=CLEAR_M, vertical_clearance_m=ABOVE_M)
+    return ju.check(maps, mission, sources=city, constraints=LIMITS)
 
 
 @pytest.mark.slow
@@ -219,8 +220,7 @@ def test_home_on_a_roof_counts_heights_from_there():
         maps,
         mission,
         sources=city,
-        clearance_m=CLEAR_M,
-        vertical_clearance_m=ABOVE_M,
+        constraints=LIMITS,
         home_above_ground_m=10.0,
     ).return_altitudes.iloc[0]
     assert on_roof["least_m"] == pytest.approx(on_ground["least_m"] - 10.0)

@@ -298,9 +298,11 @@ def test_a_clearance_that_holds_too_many_buildings_is_refused(tmp_path, monkeypa
     scene = world(*((x_m, 400.0, 2.0, 5.0) for x_m in range(100, 500, 4)))
     plan = scene.plan((WAYPOINT, 3, (500.0, 300.0), 60.0, ()))
     monkeypatch.setattr("jaxurban.flights.contacts.MOST_PAIRS", 20_000)
-    assert checked(scene, tmp_path, plan, clearance_m=5.0).state == "clean"
+    assert (
+        checked(scene, tmp_path, plan, constraints=ju.Constraints(clearance_m=5.0)).state == "clean"
+    )
     with pytest.raises(ju.InputError, match=r"150 m is too far: \d+ outlines are as near"):
-        checked(scene, tmp_path, plan, clearance_m=150.0)
+        checked(scene, tmp_path, plan, constraints=ju.Constraints(clearance_m=150.0))
 
 
 def test_the_line_over_people_holds_legs_whose_height_is_open(tmp_path):

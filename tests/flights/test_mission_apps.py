@@ -362,7 +362,7 @@ def test_a_flight_without_all_of_its_times_is_refused(tmp_path):
     with pytest.raises(ju.InputError, match="remove rows without a time"):
         read_flight(file)
     file.write_text(GPX.replace("time>", "cmt>"))
-    with pytest.raises(ju.InputError, match=r"holds no times: give the speed .*--speed"):
+    with pytest.raises(ju.InputError, match=r"holds no times: give the speed .*speed_m_s="):
         read_flight(file)
     file = tmp_path / "f.kml"
     file.write_text(KML.replace("<when>2026-01-05T10:00:04Z</when>", ""))

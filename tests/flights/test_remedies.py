@@ -48,7 +48,8 @@ def flown(maps, city, *places: Place, **more) -> MissionCheck:
     """Return the check of a mission through places."""
     legs = tuple(Leg(*pair, "leg", number) for number, pair in enumerate(pairwise(places), 1))
     mission = Mission("made", legs, places[0][:2], None, (), None)
-    return ju.check(maps, mission, sources=city, clearance_m=4.0, **more)
+    more = {"constraints": ju.Constraints(clearance_m=4.0)} | more
+    return ju.check(maps, mission, sources=city, **more)
 
 
 @pytest.mark.parametrize(("x_m", "right_m"), [(305.0, 19.0), (295.0, -19.0), (319.0, 5.0)])
@@ -108,7 +109,7 @@ def test_limits_and_closed_cells_have_no_way_out():
     maps, city = tower()
     ends = place(maps, 100, 200, 60), place(maps, 100, 400, 60)
     bounds = ju.Constraints.read(require="gps>=1").bounds
-    result = flown(maps, city, *ends, constraints=ju.Constraints(bounds=bounds))
+    result = flown(maps, city, *ends, constraints=ju.Constraints(bounds=bounds, clearance_m=4.0))
     assert set(result.findings["kind"]) == {"closed"}
     assert result.findings[["clear_m", "aside_m"]].isna().all(axis=None)
     assert "clear" not in result.sentences[0]

@@ -164,11 +164,7 @@ def test_a_section_or_a_weight_asks_for_a_metric_on_request(name):
 @pytest.mark.parametrize(
     ("sections", "words"),
     [
-        ({"protection": {"p_sat": 2}}, r"protection.*p_sat must be a probability"),
-        (
-            {"region": {"bounds": BOUNDS, "engine": "jx"}},
-            r"region\.engine: .*'auto', 'numba' or 'jax'",
-        ),
+        ({"protection": {"isd": {"p_sat": 2}}}, r"protection.*p_sat must be a probability"),
         (hanging("floating"), r"buildings\.hanging"),
         (
             {"region": {"bounds": BOUNDS, "oversample": 4}, "gps": {"bounds": True}},

@@ -1,6 +1,7 @@
 """JAX makes the maps, few programs serve all cities, and where Numba's form stays it has the same bits."""
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -17,10 +18,8 @@ from jaxurban.kernels.lidar import terrain_cpu
 from jaxurban.kernels.lidar.hard import MOST_BEAMS
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.params import MapParams
-from jaxurban.maps.run import run_scenario
 from jaxurban.maps.task import MapTask
 from tests import hanging_city
-from tests.cli_runs import TOWN, run
 from tests.tiled_runs import city, task
 
 
@@ -87,12 +86,6 @@ def test_what_is_traced_is_jaxs_and_auto_is_numba_on_a_cpu_alone(monkeypatch):
     assert not runs_numba("jax", np.zeros(3))
 
 
-@pytest.fixture
-def town(tmp_path):
-    (tmp_path / "town.toml").write_text(TOWN)
-    return tmp_path / "town.toml"
-
-
 def test_a_wrong_engine_is_one_sentence():
     sentence = r"engine must be 'auto', 'numba' or 'jax', got 'jx' \(did you mean 'jax'\?\)"
     for call in (
@@ -103,38 +96,11 @@ def test_a_wrong_engine_is_one_sentence():
             call()
 
 
-def test_numba_warns_once_where_maps_are_made_and_not_where_they_are_read(town, tmp_path, capsys):
-    made, read = tmp_path / "out", ("--at=-73.997,40.758", "--altitude", 20)
-    chosen = "--set", 'region.engine="numba"'
-    for command in (("maps", town, "-o", made, *chosen), ("sky", made, *read)):
-        code, _, err = run(capsys, *command)
-        assert (code, err.count(ONLY_JAX)) == (0, int(command[0] == "maps"))
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:engine = 'numba'")
-def test_a_run_records_its_engine_and_another_one_keeps_its_maps(town, tmp_path, capsys):
-    def engines(*options):
-        assert run(capsys, "maps", town, "-o", tmp_path / "out", *options)[0] == 0
-        record = json.loads((tmp_path / "out" / "run.json").read_text())
-        return record["engine"], record["by_numba"], record["settings"]["region"]["engine"]
-
-    assert engines("--set", 'region.engine="numba"') == ("numba", [], "numba")
-    assert engines() == ("numba", [], "auto")
-    assert engines("--overwrite", "--set", "lidar.beams=3") == ("jax", [], "auto")
-
-
-@pytest.mark.filterwarnings("ignore:engine = 'numba'")
-def test_numba_beside_a_gpu_is_planned_and_recorded_as_on_a_cpu(town, tmp_path, monkeypatch):
-    town.write_text(TOWN.replace("[buildings]", 'engine = "numba"\n[buildings]'))
-    with monkeypatch.context() as patched:
-        patched.setattr("jax.default_backend", lambda: "gpu")
-        patched.setattr("jaxurban.maps.at_once.gpu_free_bytes", lambda: 1)
-        made = run_scenario(ju.Scenario.from_toml(town), tmp_path / "beside", progress=False).record
-    again = run_scenario(ju.Scenario.from_toml(town), tmp_path / "beside", progress=False).record
-    assert made["run_key"] == again["run_key"]
-    assert made["engine"] == "numba"
-    assert any("JAX makes it on the host" in each for each in made["warnings"])
+def test_numba_warns_where_maps_are_made():
+    with pytest.warns(UserWarning, match=re.escape(ONLY_JAX)):
+        ju.build_maps(
+            ju.demo_city(400, 400), resolution_m=50.0, altitudes_m=(20.0,), engine="numba"
+        )
 
 
 MAPS = """

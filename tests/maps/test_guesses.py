@@ -11,7 +11,7 @@ from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban import plot as plotting
-from jaxurban.errors import GuessWarning
+from jaxurban.errors import GuessWarning, speaking
 from jaxurban.io.burn import burn
 from jaxurban.io.city import City
 from jaxurban.io.rasterise import build_surface
@@ -150,7 +150,8 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
     )
     assert any("rays that leave the data" in sentence for sentence in at_building)
     ran = run_scenario(Scenario.from_toml(write_scenario(tmp_path)), tmp_path / "out")
-    assert ran.record["warnings"] == list(by_name(ran.maps[10.0].guesses).values())
+    with speaking("scenario"):  # as the run itself
+        assert ran.record["warnings"] == list(by_name(ran.maps[10.0].guesses).values())
     assert ran.maps[10.0].guesses == maps.guesses
     np.testing.assert_array_equal(ran.maps[10.0].m("roof_guessed"), maps.m("roof_guessed"))
 
@@ -238,7 +239,7 @@ def test_one_tiny_block_that_sets_the_population_scale_is_told_with_its_remedy(
         in said
     ) == is_told
     assert (
-        "the median inhabited block gets 0.03; set [population] normalise to" in said
+        "the median inhabited block gets 0.03; set ju.Population(normalise=...) to" in said
     ) == is_told
     assert bool(said) == is_told
 
@@ -289,7 +290,7 @@ def test_counts_that_are_read_as_zero_are_told(tmp_path, counts, words):
             (101, 107),
             None,
             {"RESIDENTIAL"},
-            "commercial lists no district of 'districts.geojson' (ward), so",
+            "commercial=...) lists no district of 'districts.geojson' (ward), so",
         ),
         ("ward", (101, 107), (107,), {"COMMERCIAL", "RESIDENTIAL"}, None),
         ("ward", (1, 2), (), {"RESIDENTIAL"}, None),
@@ -298,7 +299,7 @@ def test_counts_that_are_read_as_zero_are_told(tmp_path, counts, words):
             (1, 2),
             (101, 102),
             {"RESIDENTIAL"},
-            "commercial lists no district of 'districts.geojson' (ward), so",
+            "commercial=...) lists no district of 'districts.geojson' (ward), so",
         ),
     ],
 )

@@ -99,7 +99,7 @@ NO_ERRORS = HeightStd(height=0.0, levels=0.0, default=0.0, raster=0.0)
     [
         ({}, {"oversample": 3}),
         ({"terrain": hills(), "gps": Gps(plants="hide")}, {}),
-        ({"hanging": SLABS}, {"heights": Heights(all_touched=True)}),
+        ({"hanging": SLABS}, {}),
         ({}, {"heights": Heights(height_samples=2, height_std_m=NO_ERRORS), "oversample": 3}),
     ],
     ids=["finer", "hills, plants hide", "slabs", "samples"],
@@ -472,7 +472,7 @@ def test_plants_beyond_the_maps_are_not_looked_at_so_that_nearby_is_not_judged(t
             heights="ground",
             home=tuple(lonlat[0]),
             sources=city,
-            clearance_m=clearance_m,
+            constraints=ju.Constraints(clearance_m=clearance_m),
         )
         assert result.state == state
 

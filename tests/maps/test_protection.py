@@ -15,9 +15,10 @@ from jaxurban.errors import InputError
 from jaxurban.maps.build import compute_maps, inputs_of, view_sky
 from jaxurban.maps.differentiable import soften
 from jaxurban.maps.params import MapParams
+from jaxurban.maps.provenance import settings_of
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.protection import CAVEAT, Protection
+from jaxurban.metrics.protection import CAVEAT, IntegritySupport, Protection
 from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status
 from jaxurban.plot import plot_metric
@@ -141,6 +142,32 @@ def test_what_has_no_gradient_says_so():
     assert "protection" not in soft.names
     with pytest.raises(InputError, match="protection"):
         soft.layer("protection", soft.height_m, ju.grad.SoftParams(altitude_m=ALTITUDE_M))
+
+
+def test_a_file_of_integrity_support_is_read_beside_the_scenario_and_kept_as_values(tmp_path):
+    isd = IntegritySupport(sigma_ura_m=2.4, tolerance_m=(0.1, 0.01))
+    lines = [f"{name} = {value}" for name, value in vars(isd).items() if name != "tolerance_m"]
+    (tmp_path / "isd.toml").write_text("\n".join([*lines, "tolerance_m = [0.1, 0.01]"]))
+    (tmp_path / "scenario.toml").write_text(TOWN + "[protection]\nisd = 'isd.toml'")
+    scenario = ju.Scenario.from_toml(tmp_path / "scenario.toml")
+    assert scenario.protection == Protection(isd=tmp_path / "isd.toml") == Protection(isd=isd)
+    assert settings_of(scenario)["protection"]["isd"]["sigma_ura_m"] == 2.4
+    (tmp_path / "again.toml").write_text(scenario.to_toml())
+    assert ju.Scenario.from_toml(tmp_path / "again.toml").protection.isd == isd
+
+    text = "\n".join(lines)
+    for wrong, words in (
+        (text, "lacks tolerance_m"),
+        (f"{text}\np_satt = 1e-5", "did you mean 'p_sat'"),
+        ("p_sat = ", "cannot be read as integrity support data in TOML"),
+        (None, "does not exist"),
+    ):
+        (tmp_path / "isd.toml").unlink()
+        if wrong is not None:
+            (tmp_path / "isd.toml").write_text(wrong)
+        with pytest.raises(InputError, match=words):
+            ju.Scenario.from_toml(tmp_path / "scenario.toml")
+        (tmp_path / "isd.toml").touch()
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from jaxurban.maps.task import MapTask
 from jaxurban.maps.tiled import Tiling
 from jaxurban.metrics.custom import Layer
 from jaxurban.metrics.gps_floor import GpsFloor
-from jaxurban.metrics.protection import Protection
+from jaxurban.metrics.protection import IntegritySupport, Protection
 from jaxurban.metrics.risk import Risk
 from jaxurban.progress import Report
 from jaxurban.settings import Heights, HeightStd
@@ -36,7 +36,7 @@ from tests import hanging_city, tiled_runs
 from tests.tiled_runs import RAGGED, check_tiles, files_of, make, task
 
 WORK = Path("maps.zarr") / ".20m.jaxurban-part"
-WIDE = Protection(1e4, 1e4, p_const_gps=0.0)  # of the few satellites of that sky
+WIDE = Protection(1e4, 1e4, IntegritySupport(p_const_gps=0.0))  # of the few satellites of that sky
 VARIED = {
     "risk",
     "risk_std",
@@ -111,7 +111,6 @@ SLOW = {
         {},
     ),
     "slabs": (slabs, (34, 58), {}),
-    "slabs that touch": (lambda: slabs(heights=Heights(all_touched=True)), (34, 58), {}),
     "drawn heights": (lambda: slabs(heights=Heights(height_samples=3)), (34, 58), {}),
     "slabs and finer rays": (lambda: slabs(oversample=3), (34, 58), {}),
 } | {

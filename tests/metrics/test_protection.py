@@ -17,6 +17,7 @@ from jaxurban.world.sky import InView
 from tests.kernels.test_protection import EXAMPLE
 
 PARAMS = Protection()
+ISD = PARAMS.isd
 
 
 def test_range_errors_are_those_of_the_published_example():
@@ -24,7 +25,7 @@ def test_range_errors_are_those_of_the_published_example():
     in_view = InView(
         np.arctan2(east, north), np.arctan2(up, np.hypot(east, north)), ("gps",) * len(EXAMPLE)
     )
-    found = ranging_of(in_view, PARAMS)
+    found = ranging_of(in_view, ISD)
     np.testing.assert_allclose(found.sigma_int_m**2, EXAMPLE[:, 3], atol=1e-4)
     np.testing.assert_allclose(found.sigma_acc_m**2, EXAMPLE[:, 4], atol=1e-4)
 
@@ -33,7 +34,7 @@ def test_galileo_has_a_table_that_ends_at_5_degrees():
     found_m = galileo_receiver_sigma_m(np.radians([0.0, 5.0, 7.5, 10.0, 90.0]))
     np.testing.assert_allclose(found_m, [0.4529, 0.4529, 0.4041, 0.3553, 0.2277])
     in_view = InView(np.zeros(3), np.full(3, 0.6), ("galileo", "gps", "qzss"))
-    found = ranging_of(in_view, PARAMS)
+    found = ranging_of(in_view, ISD)
     assert found.sigma_int_m[0] < found.sigma_int_m[1] == found.sigma_int_m[2]
     np.testing.assert_array_equal(found.p_const[found.constellation], [1e-4, 1e-8, 1e-4])
 
@@ -53,7 +54,7 @@ def test_every_cell_has_the_levels_of_its_own_satellites(counts):
     words[:, 3:5] = words[:, :1]
     is_obstacle = draw.random((9, 11)) < 0.2
     maps = protection_maps(jnp.asarray(words), is_obstacle, in_view, PARAMS)
-    levels = levels_of_satellites(in_view, PARAMS, words.reshape(len(words), -1)).reshape(2, 9, 11)
+    levels = levels_of_satellites(in_view, ISD, words.reshape(len(words), -1)).reshape(2, 9, 11)
     hpl_m, vpl_m = np.where(is_obstacle, np.inf, levels)
     np.testing.assert_array_equal(maps["hpl"], hpl_m.astype(np.float32))
     np.testing.assert_array_equal(maps["vpl"], vpl_m.astype(np.float32))
@@ -84,10 +85,8 @@ def test_levels_of_what_a_city_leaves_in_view_are_sidereons(city):
     for words, in_view in seen:
         patterns, _ = distinct_choices(words, is_obstacle)
         patterns = patterns[:, : PATTERNS - num]
-        ours = levels_of_satellites(in_view, PARAMS, patterns)
-        theirs = peer.Peer(ranging_of(in_view, PARAMS), in_view.systems, PARAMS.budget).levels(
-            patterns
-        )
+        ours = levels_of_satellites(in_view, ISD, patterns)
+        theirs = peer.Peer(ranging_of(in_view, ISD), in_view.systems, ISD.budget).levels(patterns)
         np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
         # Beyond, satellites that all but leave the position undetermined magnify rounding.
         is_near, is_had = theirs < peer.NEAR_M, np.isfinite(theirs)

@@ -15,7 +15,7 @@ from jaxurban.metrics.custom import Layer, check_layers, held_metrics, own_metri
 from jaxurban.metrics.gps import Dop, Gps, soft_gps
 from jaxurban.metrics.lidar import Lidar, soft_lidar
 from jaxurban.metrics.population import Population, day_share
-from jaxurban.metrics.protection import Protection
+from jaxurban.metrics.protection import IntegritySupport, Protection
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.metrics.risk import Risk, soft_risk
 from jaxurban.metrics.weights import Weights
@@ -134,14 +134,14 @@ def test_weights_are_parsed_over_a_base_carry_any_name_and_a_name_that_is_left_o
             {"horizontal_alert_limit_m": 0.0},
             "horizontal_alert_limit_m must be positive metres",
         ),
-        (Protection, {"bias_m": -1.0}, "bias_m must be 0 or more metres"),
-        (Protection, {"p_const": 0.5}, "p_const must be a probability from 0 to below 0.1"),
+        (IntegritySupport, {"bias_m": -1.0}, "bias_m must be 0 or more metres"),
+        (IntegritySupport, {"p_const": 0.5}, "p_const must be a probability from 0 to below 0.1"),
         (
-            Protection,
+            IntegritySupport,
             {"phmi_vertical": 0.0},
             "phmi_vertical must be a probability from 1e-15 to 0.1",
         ),
-        (Protection, {"tolerance_m": (0.05, 0.0)}, "tolerance_m must be positive metres"),
+        (IntegritySupport, {"tolerance_m": (0.05, 0.0)}, "tolerance_m must be positive metres"),
         (HeightStd, {"levels": -1.0}, "levels must be 0 or a positive number of metres"),
         (Heights, {"height_samples": 1}, "height_samples must be 0, for none, or from 2"),
         (Layer, LAYER | {"source": 5}, "source must be the path"),

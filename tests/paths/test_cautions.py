@@ -125,8 +125,8 @@ def test_every_file_of_a_route_says_what_is_guessed(maps, tmp_path):
 
 def test_what_was_asked_of_clearances_is_the_limit(maps):
     path = straight(maps)  # 35 m from the tower, 8 m over the roof
-    for radius_m, roof_m, level in ((0.0, 8.0, "note"), (2.0, 8.5, "limit")):
-        limits = {"clearance_m": 34.0, "vehicle_radius_m": radius_m, "vertical_clearance_m": roof_m}
+    for beside_m, roof_m, level in ((34.0, 8.0, "note"), (36.0, 8.5, "limit")):
+        limits = {"clearance_m": beside_m, "vertical_clearance_m": roof_m}
         levels = levels_of(replace(path, settings=path.settings | {"limits": limits}), maps)
         assert (levels["Buildings"], levels["Roofs"]) == (level, level)
 

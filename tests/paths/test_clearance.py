@@ -24,6 +24,7 @@ from tests.volumes import ends_at, plan_volume, with_roofs
 
 SIDE_M, ALTITUDE_M = 5.0, 20.0
 KEPT = {"clearance_m": 7.0, "vertical_clearance_m": 4.0}
+WIDER = KEPT | {"clearance_m": KEPT["clearance_m"] + 0.5}
 LEVELS_M = (20.0, 35.0, 60.0)
 
 
@@ -290,13 +291,13 @@ def test_files_round_an_altitude_up_so_that_what_is_just_free_stays_so(tmp_path)
 
 
 def test_a_start_too_near_is_told_by_what_and_moved_on_request():
-    maps, constraints = scattered(11), ju.Constraints.read(**KEPT, vehicle=ju.Vehicle(radius_m=0.5))
+    maps, constraints = scattered(11), ju.Constraints.read(**WIDER)
     is_free, high = constraints.is_free(maps, ALTITUDE_M), maps.m("roof_touched") >= 20
     ends = ends_in(maps, is_free)[0]
     inner = np.argwhere(high[4:36, 4:46] & (maps.m("roof_touched")[4:36, 5:47] == 0))
     row, col = inner[0] + 4
     low = np.argwhere(maps.m("roof_touched") == 18)[0]
-    words = "the clearance of 7 m and the vehicle's radius of 0.5 m and the vertical clearance of 4 m that is kept"
+    words = "the clearance of 7.5 m and the vertical clearance of 4 m that is kept"
     for cell in ((row, col + 1), low, (1, 1)):  # beside a roof, over one, and near the border
         at = ends | {"start": ju.XY(*maps.grid.xy_of_cell(*cell)), "altitude_m": ALTITUDE_M}
         with pytest.raises(ju.InputError, match=f"start is closed by.*{words}"):
@@ -329,12 +330,11 @@ def test_without_a_clearance_nothing_is_kept_or_closed_and_paths_come_nearer():
     none = ju.Constraints(vertical_clearance_m=0.0)
     assert none.to_dict() == {"no_fly": [], "require": [], "unknown_heights": "likely"}
     assert np.array_equal(none.is_free(maps, 20.0), maps.is_free(20.0))
-    kept = ju.Constraints.read(**KEPT, vehicle=ju.Vehicle(radius_m=0.5))
+    kept = ju.Constraints.read(**WIDER)
     assert kept.to_dict() == {
         "no_fly": [],
         "require": [],
-        **KEPT,
-        "vehicle_radius_m": 0.5,
+        **WIDER,
         "unknown_heights": "likely",
     }
     path = ju.plan(maps, **ends_in(maps, kept.is_free(maps, ALTITUDE_M))[0], altitude_m=ALTITUDE_M)

@@ -91,7 +91,7 @@ def test_a_path_says_under_which_constraints_it_was_planned(maps):
         require="gps>=0.1",
         clearance_m=2.0,
         vertical_clearance_m=0.0,
-        vehicle=ju.Vehicle(radius_m=0.5),
+        vehicle=ju.Vehicle(speed_m_s=5.0),
         unknown_heights="highest",
     )
     ends = maps.grid.lonlat_of_cell(10, 2), maps.grid.lonlat_of_cell(10, 18)

@@ -170,17 +170,14 @@ def of(**vehicle: float) -> ju.Constraints:
     return ju.Constraints(vehicle=ju.Vehicle(**vehicle))
 
 
-def test_its_radius_is_kept_beside_the_clearance(maps):
-    both = ju.Constraints(clearance_m=8.0, vehicle=ju.Vehicle(radius_m=4.0))
-    assert np.array_equal(
-        both.closed(maps, ALTITUDE_M), ju.Constraints(clearance_m=12.0).closed(maps, ALTITUDE_M)
-    )
+def test_a_clearance_leaves_room_beside_legs_and_is_said(maps):
+    limits = ju.Constraints(clearance_m=12.0)
     kept_m = (
-        both.leg_margin_m(10.0),
+        limits.leg_margin_m(10.0),
         ju.Constraints(clearance_m=8.0).leg_margin_m(10.0),
     )  # both close the cells beside
     assert kept_m == pytest.approx((2.05, 0.0))
-    assert str(both) == "clearance of 8 m, vehicle's radius of 4 m, vertical clearance of 3 m"
+    assert str(limits) == "clearance of 12 m, vertical clearance of 3 m"
 
 
 def test_its_speed_and_power_are_those_of_report_and_mission_unless_others_are_given(
@@ -246,11 +243,10 @@ def test_turns_that_are_too_sharp_are_counted_by_heading(maps, ends):
 
 
 def test_a_scenario_says_it_in_one_table_and_writes_it_back():
-    table = {"radius_m": 0.4, "max_climb_m_s": 3, "speed_m_s": 10, "power_w": 180.0}
+    table = {"max_climb_m_s": 3, "speed_m_s": 10, "power_w": 180.0}
     scenario = ju.Scenario.from_dict(REGION | {"vehicle": table})
     assert scenario.vehicle == ju.Vehicle(**table)
     assert "max_turn_deg" not in scenario.to_toml()
-    assert ju.Vehicle().radius_m == 0
 
 
 @pytest.fixture(scope="module")

@@ -258,10 +258,8 @@ def folder(maps, tmp_path_factory):
     """A folder of maps whose scenario plans under another cost model than the default one."""
     folder = tmp_path_factory.mktemp("maps")
     write_zarr(maps.ds, folder)
-    planning = ju.CostModel("line", 4.0, 4, "always").settings
-    write_json(
-        folder / "run.json", {"settings": {"planning": planning, "weights": WEIGHTS.to_dict()}}
-    )
+    settings = {"planning": {"cost_model": "cell"}, "weights": WEIGHTS.to_dict()}
+    write_json(folder / "run.json", {"settings": settings})
     return folder
 
 
@@ -274,16 +272,23 @@ def cost_of(facts: dict) -> float:
 
 @pytest.mark.slow
 def test_commands_plan_one_path_under_the_scenarios_cost_model_and_the_same_constraints(
-    folder, options, plans, zone_file, tmp_path, capsys
+    maps, ends, folder, options, zone_file, tmp_path, capsys
 ):
     where = (folder, *options, "--no-fly", zone_file, "--require", REQUIRE)
-    expected = plans[ju.CostModel("line", 4.0, 4, "always"), "constraints"]
+    expected = ju.plan(
+        maps,
+        *ends,
+        altitude_m=ALTITUDE_M,
+        weights=WEIGHTS,
+        cost_model="cell",
+        constraints=ju.Constraints.read(zone_file, REQUIRE),
+    )
     for command, more in (("plan", ()), ("sensitivity", (*QUICK_OPTIONS, tmp_path))):
         facts = json.loads(run(capsys, command, *where, *more)[1])
         assert cost_of(facts) == pytest.approx(expected.cost, rel=1e-9)
         assert facts.get("settings", expected.settings) == expected.settings
-    rules = "(reference length 4 m, 4 neighbours, diagonal steps 'always'); constraints: 1 no-fly zone, risk>=0.08"
-    assert f"'line' {rules}" in (tmp_path / "report.md").read_text()
+    rules = "(reference length 5 m, 8 neighbours, diagonal steps 'both-free'); constraints: 1 no-fly zone, risk>=0.08"
+    assert f"'cell' {rules}" in (tmp_path / "report.md").read_text()
 
 
 def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_differing_ones_are_told(
@@ -298,7 +303,7 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
     ):
         with pytest.raises(
             ju.InputError,
-            match=r"planned under the cost model 'line' .* under 'cell' .*--rules cost_model",
+            match=r"planned under the cost model 'line' .* under 'cell' .*cost_model=",
         ):
             read()
         with pytest.warns(
@@ -323,7 +328,7 @@ def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_fi
     file = limited.save(tmp_path / "route.kml")
     constraints = "1 no-fly zone, risk>=0.08, vertical clearance of 3 m"
     with pytest.warns(
-        OtherSettingsWarning, match=rf"and {constraints} and is fitted .*--no-fly, --require"
+        OtherSettingsWarning, match=rf"and {constraints} and is fitted .*constraints="
     ):
         ju.fit.demonstrations(file, maps)
     with pytest.warns(
@@ -350,7 +355,6 @@ def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(
     report = (tmp_path / "fit" / "report.md").read_text()
     constraints = "1 no-fly zone, risk>=0.08, vertical clearance of 3 m"
     assert f"| {model} | {constraints} | touched |" in report
-    assert "--rules cost_model=cell" in report
     line = plans[ju.CostModel("line", 4.0), "none"].save(tmp_path / "line.geojson")
     warnings.simplefilter("always")
     code, _, err = run(capsys, *asked, folder, line, "--overwrite")

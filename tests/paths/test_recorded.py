@@ -26,9 +26,9 @@ PLANNING = [  # with the preset that is named
     ({}, ""),
     ({}, "paper"),
     ({"vertical_clearance_m": 0.0, "obstacles": "centre"}, ""),
-    ({"clearance_m": 1.0, "cost_model": "cell", "connectivity": 4}, "paper"),
+    ({"clearance_m": 1.0, "cost_model": "cell"}, "paper"),
     ({"preset": "paper", "vertical_clearance_m": 3.0}, ""),
-    ({"planner": "astar-dist", "objective": "distance"}, "paper"),
+    ({"planner": "astar-dist"}, "paper"),
     ({"planner": "theta-star", "seed": 5, "budget_s": 9.0}, ""),
 ]
 
@@ -55,7 +55,7 @@ def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_pa
     folder = folder_of(
         tmp_path / "a",
         planning=planning,
-        vehicle={"radius_m": 3.0, "speed_m_s": 9.0},
+        vehicle={"max_climb_m_s": 3.0, "speed_m_s": 9.0},
         weights=weights,
     )
     maps, under = ju.open_maps(folder), {"preset": preset}
@@ -63,21 +63,23 @@ def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_pa
     limits = {"clearance_m": 0.0, "vertical_clearance_m": 4.0}
     given = {
         "weights": {"lidar": 4.0},
-        "cost_model": "line",
         "constraints": ju.Constraints(**limits),
     }
     line = (
         "--weights",
         "lidar=4",
         "--rules",
-        "cost_model=line,clearance_m=0,vertical_clearance_m=4",
+        "clearance_m=0,vertical_clearance_m=4",
     )
     for named, options in (({}, ()), (given, line)):
         options += ("--report", "--preset", preset) if preset else ("--report",)
         expected = command(capsys, folder, *options)
         assert expected["report"]["time_s"] == pytest.approx(expected["length_m"] / 9)
         stated = expected["settings"]["limits"]
-        assert (stated["vehicle_radius_m"], expected["settings"]["weights"]["gps"]) == (3.0, 3.0)
+        assert (stated["vehicle_max_climb_m_s"], expected["settings"]["weights"]["gps"]) == (
+            3.0,
+            3.0,
+        )
         recorded = (
             limits if named else {name: planning[name] for name in limits if name in planning}
         )
@@ -107,17 +109,16 @@ def test_what_is_named_wins_over_the_scenario(tmp_path):
         "clearance_m": 1.0,
         "vertical_clearance_m": 5.0,
         "obstacles": "centre",
-        "objective": "distance",
     }
-    maps = ju.open_maps(folder_of(tmp_path, planning=planning, vehicle={"radius_m": 3.0}))
+    maps = ju.open_maps(folder_of(tmp_path, planning=planning, vehicle={"speed_m_s": 3.0}))
     on = ju.cost_map(
         maps,
         ALTITUDE_M,
-        constraints=ju.Constraints(clearance_m=0.0, vehicle=ju.Vehicle(radius_m=1.0)),
+        constraints=ju.Constraints(clearance_m=0.0, vehicle=ju.Vehicle(speed_m_s=1.0)),
     )
     limits = {"no_fly": [], "require": [], "vertical_clearance_m": 5.0}
     limits |= {"unknown_heights": "likely"}
-    assert on.constraints.to_dict() == limits | {"vehicle_radius_m": 1.0}
+    assert on.constraints.to_dict() == limits | {"vehicle_speed_m_s": 1.0}
     assert (maps.obstacles, maps.with_obstacles("touched").obstacles) == ("centre", "touched")
     for rule, preset in (("touched", "paper"), ("centre", "")):
         assert (
@@ -126,12 +127,8 @@ def test_what_is_named_wins_over_the_scenario(tmp_path):
             ).maps.obstacles
             == rule
         )
-    assert on.objective == "distance"
-    assert on.plan(START, GOAL).settings["objective"] == "distance"
-    shortest = ju.cost_map(maps, ALTITUDE_M).plan(START, GOAL)
-    assert shortest.cost == ju.plan(maps, START, GOAL, altitude_m=ALTITUDE_M).cost
-    planned = ju.plan(maps, START, GOAL, altitude_m=ALTITUDE_M, objective="weighted")
-    assert planned.settings["objective"] == "weighted"
+    planned = ju.cost_map(maps, ALTITUDE_M).plan(START, GOAL)
+    assert planned.cost == ju.plan(maps, START, GOAL, altitude_m=ALTITUDE_M).cost
     defaults = ju.plan(ju.MetricMaps(MADE.ds), START, GOAL, altitude_m=ALTITUDE_M).settings
     assert defaults["limits"] == limits | {"vertical_clearance_m": 3.0}
 
@@ -164,13 +161,13 @@ def test_a_presets_rule_is_one_for_scenarios_studies_and_the_viewer(tmp_path):
 
 def test_a_run_knows_its_scenario_in_memory_and_in_its_folder(tmp_path):
     (tmp_path / "town.toml").write_text(
-        f"{TOWN}[planning]\nobstacles = 'centre'\n[vehicle]\nradius_m = 2\n"
+        f"{TOWN}[planning]\nobstacles = 'centre'\n[vehicle]\nspeed_m_s = 2\n"
     )
     (held,) = run_scenario(
         ju.Scenario.from_toml(tmp_path / "town.toml"), tmp_path / "out"
     ).maps.values()
     opened = ju.open_maps(tmp_path / "out")
-    recorded = {"planning": {"obstacles": "centre"}, "vehicle": {"radius_m": 2.0}}
+    recorded = {"planning": {"obstacles": "centre"}, "vehicle": {"speed_m_s": 2.0}}
     for maps in (held, opened):
         assert (maps.recorded | recorded, maps.obstacles) == (maps.recorded, "centre")
     (tmp_path / "out" / "run.json").unlink()
@@ -190,7 +187,6 @@ PLANNINGS = st.fixed_dictionaries(
         "planner": st.sampled_from(["astar-plus", "astar-dist"]),
         "seed": st.integers(0, 3),
         "budget_s": st.sampled_from([9.0, 10.0]),
-        "connectivity": st.sampled_from([4, 8]),
     },
 )
 

@@ -110,6 +110,9 @@ def test_what_is_not_judged_says_its_kind_and_up_to_where(tmp_path):
     assert sentence.endswith("(building) may reach any height (give its height).")
 
 
+LIMITS = ju.Constraints(clearance_m=10.0)
+
+
 def test_beside_a_guessed_house_the_clearance_counts_up_to_its_bound(tmp_path):
     scene = street()
     for beside_m, height_m, state in (
@@ -120,7 +123,7 @@ def test_beside_a_guessed_house_the_clearance_counts_up_to_its_bound(tmp_path):
     ):
         y_m = HOUSE[3] + beside_m
         items = [(WAYPOINT, 3, (x_m, y_m), height_m, ()) for x_m in (100.0, 350.0)]
-        result = checked(scene, tmp_path, scene.plan(*items), clearance_m=10.0)
+        result = checked(scene, tmp_path, scene.plan(*items), constraints=LIMITS)
         assert result.state == state, (beside_m, height_m, result)
 
 

@@ -21,7 +21,7 @@ ALTITUDE_M = 20.0
 def maps() -> ju.MetricMaps:
     """A town at three hours, whose high mask leaves some places without a position fix."""
     hours = ju.Gps(
-        start="2020-04-27T00:00:00Z", stop="2020-04-27T10:00:00Z", step_s=18_000, mask_deg=25.0
+        times=("2020-04-27T00:00:00Z", "2020-04-27T10:00:00Z"), step_s=18_000, mask_deg=25.0
     )
     city = ju.demo_city(600, 600)
     return ju.build_maps(

@@ -272,7 +272,7 @@ def test_navigation_and_reference_belong_to_a_receivers_own_log(option):
 
 
 OUTSIDE = {
-    r"^\d+ of the \d+ places of the .* outside .*\[region\] bounds": lambda log: log.assign(
+    r"^\d+ of the \d+ places of the .* outside .*let bounds of": lambda log: log.assign(
         lon_deg=log.lon_deg + 1
     ),
     "whether lon_deg and lat_deg are swapped": lambda log: log.assign(

@@ -18,7 +18,8 @@ from tests.cli_runs import TOWN, assert_one_sentence, run
 NOISE = {"source": "noise.tif", "cost": "high-is-bad", "scale": [0, 80]}
 REGION = {"bounds": [-74.02, 40.70, -73.98, 40.73]}
 MINIMAL = {"region": REGION, "buildings": {"source": "synthetic"}}
-SERIES = {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T00:10:00Z", "step_s": 300}
+BEGIN = "2020-04-27T00:00:00Z"
+SERIES = {"times": [BEGIN, "2020-04-27T00:10:00Z"], "step_s": 300}
 SPREAD = {"source": "synthetic", "height_samples": 2}
 
 
@@ -77,13 +78,19 @@ def test_a_series_of_epochs_includes_both_ends_and_survives_toml(tmp_path):
         ({"terrain": {"source": "dem.tif"}}, "flat ground"),
         ({"lidar": {"field_of_view_deg": [15, -15]}}, "field_of_view_deg"),
         ({"lidar": {"beams": 10**9}}, "beams must be a whole number from 1 to 100,000"),
-        ({"gps": {"start": "2020-04-27T00:00:00Z"}}, "needs all of start, stop and step_s"),
+        (
+            {"gps": SERIES | {"times": [BEGIN]}},
+            "step_s needs .* the first and the last of the series",
+        ),
         ({"planning": {"planner": "astr-plus"}}, "'astar-plus', .* got 'astr-plus'"),
         ({"region": REGION | {"altitudes_m": []}}, "altitudes_m"),
-        ({"gps": SERIES | {"stop": "2020-04-26T00:00:00Z"}}, "stop, 2020-04-26.*, is before start"),
-        ({"gps": SERIES | {"start": "2010-04-27T00:00:00Z", "step_s": 1}}, "make step_s longer"),
+        ({"gps": SERIES | {"times": [BEGIN, "2020-04-26T00:00:00Z"]}}, "first and the last"),
         (
-            {"buildings": SPREAD, "gps": SERIES | {"stop": "2020-04-28T00:00:00Z", "step_s": 60}},
+            {"gps": SERIES | {"times": ["2010-04-27T00:00:00Z", BEGIN], "step_s": 1}},
+            "make it longer",
+        ),
+        (
+            {"buildings": SPREAD, "gps": {"times": [BEGIN, "2020-04-28T00:00:00Z"], "step_s": 60}},
             "every time",
         ),
         ({"planning": {"seed": -1}}, "planning: seed must be a whole number from 0 up, got -1"),

@@ -77,8 +77,9 @@ def test_planners_and_instances_may_be_added_and_nothing_is_run_twice(one, tmp_p
 
 def test_another_study_takes_the_folder_where_it_is_asked_to(folders, one, tmp_path):
     one(tmp_path, 1)
-    cell = replace(ONE, cost_model="cell")
-    found = ju.studies.study(folders[0], tmp_path, 1, settings=cell, overwrite=True)
+    found = ju.studies.study(
+        folders[0], tmp_path, 1, settings=ONE, cost_model="cell", overwrite=True
+    )
     assert ju.CostModel.of(found.settings.cost_model).kind == "cell"
 
 

@@ -176,12 +176,11 @@ def test_the_route_is_never_under_the_report_and_the_fit_follows_the_window(page
 
 
 @pytest.mark.slow
-def test_routes_that_coincide_are_both_in_sight_and_theta_star_takes_its_cost_model_along(page):
+def test_routes_that_coincide_are_both_in_sight(page):
     plan_between(page, (82, 20), (82, 180))  # along a street
     for name in ("gps", "lidar", "population", "risk"):
         page.locator(f'[name="weight-{name}"]').press("Home")  # so that it weighs nothing
     page.click("text=Planners and rules")
-    page.select_option('[name="cost_model"]', "cell")
     page.check('[value="ptp"]')
     settle(page)
     colours = page.locator(".jv-route .jv-dot").evaluate_all(
@@ -201,8 +200,6 @@ def test_routes_that_coincide_are_both_in_sight_and_theta_star_takes_its_cost_mo
     assert min(num_pixels) > 0.3 * max(num_pixels)
     page.check('[value="theta-star"]')
     settle(page)
-    assert page.locator('[name="cost_model"]').input_value() == "line"
-    assert re.search("theta-star needs .*line", text_of(page, "model"))
     assert text_of(page, "tell") == ""
     assert page.locator(".jv-route").count() == 3
 

@@ -190,8 +190,7 @@ def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
     odd_plans += [
         {"planner": "rm -rf"},
         {"planner": "astar-volume"},
-        {"cost_model": "x"},
-        {"obstacles": "x"},
+        {"unknown_heights": "x"},
     ]
     odd_plans += [
         {"clearance_m": -1},

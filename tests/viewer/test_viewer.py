@@ -360,9 +360,9 @@ def test_what_is_yes_or_no_in_a_cell_is_told_in_words():
         {"planner": "ptp", "snap": False},
         {"on_ground": True, "start": OVER_ROOF},
         {"weights": WEIGHTS | {"gps": 20.0, "lidar": 0.0}},
-        {"planner": "theta-star", "cost_model": "line"},
+        {"planner": "theta-star"},
         {"flight_m": 37.5, "vertical_clearance_m": 6.25},  # between the levels of 20 and 60 m
-        {"planner": "astar-plus", "obstacles": "centre", "zones": square(30, 40, 14)},
+        {"planner": "astar-plus", "zones": square(30, 40, 14)},
     ],
 )
 def test_a_route_is_that_of_the_printed_command_coordinate_for_coordinate(
@@ -432,9 +432,8 @@ def test_a_route_names_its_status_and_the_report_once_each_end_that_was_moved(vi
     assert "moved" not in route["button"] + answer(viewer, "report", **QUERY)["cautions"]
 
 
-@pytest.mark.parametrize("cost_model", ["cell", "line"])
-def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(viewer, cost_model):
-    query = QUERY | {"cost_model": cost_model}
+def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(viewer):
+    query = QUERY
     found, route = answer(viewer, "report", **query), answer(viewer, "plan", **query)
     saved = json.loads(answer(viewer, "save", **query, format=".plan"))
     places = np.array(
@@ -443,9 +442,7 @@ def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(v
     xy_m = np.stack(MAPS.grid.xy_of_lonlat(places[:, 1], places[:, 0]), axis=-1)
     corner = np.array([MAPS.grid.x_min_m, MAPS.grid.y_min_m])
     assert np.allclose(found["mission"], xy_m - corner, atol=0.06)
-    on = ju.cost_map(
-        MAPS, 20.0, weights=ju.Weights(**WEIGHTS), cost_model=cost_model, time_of_day="night"
-    )
+    on = ju.cost_map(MAPS, 20.0, weights=ju.Weights(**WEIGHTS), time_of_day="night")
     planned = on.plan(*ENDS)
     assert planned.cost == route["cost"]
     mission = ju.simplify(planned, on, MAPS.grid.resolution_m / 2)
@@ -541,10 +538,8 @@ def test_over_a_runs_folder_the_page_plans_as_the_command_that_it_prints(
     planning = {
         "clearance_m": 4.0,
         "vertical_clearance_m": 15.0,
-        "diagonal": "always",
-        "objective": "distance",
     }
-    settings = {"planning": planning, "vehicle": {"radius_m": 7.0}, "weights": {"gps": 3.0}}
+    settings = {"planning": planning, "vehicle": {"speed_m_s": 7.0}, "weights": {"gps": 3.0}}
     write_json(tmp_path / "run.json", {"settings": settings})
     monkeypatch.setattr("jaxurban.viewer.widget.widget_of", lambda viewer: viewer)
     viewer = view(str(tmp_path))

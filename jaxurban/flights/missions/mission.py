@@ -161,7 +161,9 @@ def read_flight(path: str | Path) -> pd.DataFrame:
             for time, point in zip(shape.times, shape.points, strict=True)
         ]
     if not rows:
-        raise InputError(f"{str(path)!r} holds no times: give the speed of the flight (--speed)")
+        raise InputError(
+            f"{str(path)!r} holds no times: give the speed of the flight (--speed, speed_m_s=)"
+        )
     return track_of(pd.DataFrame(rows, columns=[UTC, LON, LAT]), f"the track {str(path)!r}")
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from jaxurban.errors import in_words
 from jaxurban.io.city import City
 from jaxurban.io.orbits import matching
 from jaxurban.io.tracks import AZIMUTH, CN0, ELEVATION, SATELLITE
@@ -61,7 +62,10 @@ def with_directions(log: ReceiverLog, track: Track, sky: Sky, grid: Grid) -> Rec
     angles = {AZIMUTH: azimuth_deg.astype(np.float32), ELEVATION: elevation_deg.astype(np.float32)}
     is_up = (number >= 0) & (elevation_deg >= 0)
     names = satellites.categories[of_category < 0]
-    left_out = {**log.left_out, **dict.fromkeys(names, "no orbit of [gps] orbits has its name")}
+    left_out = {
+        **log.left_out,
+        **dict.fromkeys(names, in_words("no orbit of [gps] orbits has its name")),
+    }
     seen = rows.assign(**angles)[is_up].reset_index(drop=True)
     return replace(log, satellites=seen, left_out=left_out)
 

@@ -110,8 +110,7 @@ def study(
       instances: a table as from `jaxurban.studies.sample_instances`, whose ``is_connected`` is found again on these
         maps, or the number to sample at each altitude; left out, the settings' number.
       settings: planners and budgets.
-      cost_model, constraints, preset: of all routes, as in `jaxurban.plan`; a cost model that is left out is that of
-        the settings, else that of the maps' scenario.
+      cost_model, constraints, preset: of all routes, as in `jaxurban.plan`.
       workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
         the maps' folder under the same path.
       overwrite: replace a benchmark of other settings.
@@ -136,13 +135,12 @@ def study(
       2         1  astar-dist  distance  optimal
       3         1  astar-plus  weighted  optimal
     """
-    # The rules of all runs: an argument comes before the settings, and these before the maps' scenario.
+    # The rules of all runs: an argument comes before the maps' scenario.
     folder = Path(folder)
     chosen = settings or Study()
     if isinstance(instances, int):
         chosen = replace(chosen, instances=instances)
-    of_settings = values_given({"cost_model": chosen.cost_model})
-    job = Benchmark(study=chosen, **of_settings | values_given(rules))
+    job = Benchmark(study=chosen, **values_given(rules))
 
     # The maps under these rules, and the source from which each worker opens them.
     source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)

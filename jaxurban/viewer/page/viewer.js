@@ -261,8 +261,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     (zone, k) => ({ type: 'Feature', properties: { name: `zone ${k + 1}` },
       geometry: { type: 'Polygon', coordinates: [[...zone, zone[0]].map(toLonLat)] } })) });
   const given = names => Object.fromEntries(names.map(name => [name, field(name).value ? +field(name).value : null]));
-  const rules = () => ({ at: places(), cost_model: field('cost_model').value, obstacles: field('obstacles').value,
-    unknown_heights: field('unknown_heights').value,
+  const rules = () => ({ at: places(), unknown_heights: field('unknown_heights').value,
     clearance_m: field('clearance_m').valueAsNumber, zones: zones(), ...given(['vertical_clearance_m', 'flight_m']) });
   const ruled = () => scene.can_plan && { plan: { start: [0, 0], goal: [0, 0], weights: {}, ...rules() } };
   const query = planner => ({ start: toLonLat(state.ends.start), goal: toLonLat(state.ends.goal ?? state.ends.start),
@@ -459,15 +458,10 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const level = scene.altitudes_m[index] ?? flight, isBetween = level < flight && flight < scene.altitudes_m.at(-1);
     is('between').textContent = !isBetween ? '' : `Between two levels: the map shows that of ${level} m.`;
   };
-  const fitModel = () => {
-    const model = field('cost_model'), isAsked = root.querySelector('[value="theta-star"]').checked;
-    is('model').textContent = isAsked && model.value !== 'line' ? 'theta-star needs line, so the model is line.' : '';
-    if (isAsked) model.value = 'line';
-  };
   for (const each of all('select, input:not([type="range"], [type="file"])')) each.onchange = () => {
     if (each.name === 'altitude') field('flight_m').value = scene.altitudes_m[each.value];
     if (each.name === 'altitude' || each.name === 'flight_m') between();
-    for (const settle of [fitModel, show, showSky, plan]) settle();
+    for (const settle of [show, showSky, plan]) settle();
   };
   for (const each of all('[name="opacity"], [name="hatch"], [name="closed"], [name^="group-"]'))
     Object.assign(each, { oninput: draw, onchange: keep });
@@ -489,7 +483,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     restore(first);
     tell('The address holds no plan of these maps, so the page begins afresh.');
   }
-  for (const settle of [between, fitModel, hint, view.fit]) settle();
+  for (const settle of [between, hint, view.fit]) settle();
   new ResizeObserver(() => (view.refit ?? draw)()).observe(map);
   await show();
   guard(async () => { // after the picture, as it may take seconds

@@ -303,19 +303,18 @@ def test_each_halving_comes_nearer_to_lower_manhattan_and_the_last_map_is_its_ow
 EIGHT = Grid(GRID.crs, 5.0, 0, 0, 8, 8)
 
 
-@pytest.mark.parametrize("all_touched", [False, True])
-def test_roofs_by_index_are_the_burnt_roofs_exactly(all_touched):
+def test_roofs_by_index_are_the_burnt_roofs_exactly():
     city = demo_city(600, 500)
     x_min, y_min = city.extent_m[:2]
     grid = Grid(city.crs, 5.0, round(y_min / 5), round(x_min / 5), 100, 120)
-    building = building_index(city, grid, all_touched)
+    building = building_index(city, grid)
     assert building.dtype == np.int32
     height_m = city.buildings.height_m.astype(np.float32)
-    roof_m = rasterise(city, grid, all_touched).roof_m
+    roof_m = rasterise(city, grid).roof_m
     assert (building == NO_BUILDING).any()
     np.testing.assert_array_equal(roofs_of(jnp.asarray(height_m), jnp.asarray(building)), roof_m)
     region = grid.padded(-5, -5, -5, -5)
-    surface = build_surface(city, region, grid, all_touched)
+    surface = build_surface(city, region, grid)
     np.testing.assert_array_equal(
         surface.with_heights(
             jnp.asarray(2 * height_m), jnp.asarray(building), jnp.asarray(height_m)
