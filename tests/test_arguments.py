@@ -766,6 +766,14 @@ TABLE: dict[str, dict[str, Any]] = {
     },
 }
 SLOW = (
+    "Constraints.read",
+    "Levels",
+    "MetricMaps.plot",
+    "MetricMaps.save",
+    "Study",
+    "Vehicle",
+    "compare",
+    "sample_city",
     "ReceiverSettings",
     "validate",
     "FitSettings",

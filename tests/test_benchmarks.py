@@ -245,6 +245,7 @@ def test_every_section_of_a_gpu_has_its_seconds_and_they_fit_into_the_run():
     assert gpu.BUDGET_S < 480
 
 
+@pytest.mark.slow
 def test_a_section_of_a_gpu_that_breaks_off_fails_the_run_and_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(gpu, "make_inputs", lambda folder, is_small: None)  # so that none loads
     monkeypatch.setattr(gpu, "gpu_name", lambda: None)
@@ -267,6 +268,7 @@ def test_programs_are_counted_at_the_first_call_of_a_shape_alone():
     assert [num_programs(each) for each in (values, values, longer)] == [1, 0, 1]
 
 
+@pytest.mark.slow
 def test_a_run_whose_memory_was_given_back_leaves_the_next_ones_greatest_memory_alone():
     events, mib = engines.count_programs(), 2**17
     large = engines.measured(lambda: np.ones(400 * mib), events)

@@ -408,6 +408,7 @@ def messages_of_the_code() -> list[str]:
     return texts
 
 
+@pytest.mark.slow
 def test_the_sentences_of_the_page_on_faults_stand_in_the_code():
     page = (ROOT / "docs/guides/trouble.md").read_text(encoding="utf-8")
     quoted = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)

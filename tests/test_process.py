@@ -19,6 +19,7 @@ def heavy_modules(code: str) -> list[str]:
     return done.stdout.splitlines()[-1].split()
 
 
+@pytest.mark.slow
 def test_importing_the_package_imports_nothing_heavy():
     assert heavy_modules("import jaxurban; dir(jaxurban)") == []
     assert heavy_modules("import jax, jaxurban") != []

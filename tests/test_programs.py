@@ -86,6 +86,7 @@ def entries(cache: Path) -> list[Path]:
     return sorted(cache.glob("jaxurban/programs/*"))
 
 
+@pytest.mark.slow
 def test_a_later_session_compiles_nothing_and_other_shapes_types_and_static_values_do(cache):
     first = make()
     assert [num_compiled(first, X), num_compiled(first, X)] == [1, 0]
@@ -200,6 +201,7 @@ def test_a_folder_that_others_may_write_to_is_not_used_and_that_is_said_once(cac
     assert ["chmod 700" in line for line in lines] == [True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [0, 31, 32, 300, -1])
 def test_a_changed_byte_is_seen_before_anything_is_unpacked(cache, at):
     make()(X)
@@ -216,6 +218,7 @@ def test_a_changed_byte_is_seen_before_anything_is_unpacked(cache, at):
         assert_compiled_anew(cache)
 
 
+@pytest.mark.slow
 def test_an_entry_of_another_processor_is_not_loaded_even_under_this_ones_name(cache, monkeypatch):
     """Nor that of another program, version or flag."""
     changes = [
@@ -256,6 +259,7 @@ def test_a_changed_source_file_has_programs_of_its_own(cache, monkeypatch, tmp_p
         assert any(folder in file.parts for file in package_files)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["full", "failed"])
 def test_a_full_disk_keeps_nothing_half_written_and_the_result_is_there(cache, way):
     with counted(cache, way=way) as steps:

@@ -128,6 +128,7 @@ def test_a_batch_is_a_table_too(paths, tmp_path):
         paths.save(tmp_path / "batch.plan")
 
 
+@pytest.mark.slow
 def test_a_folder_stands_for_its_maps(paths, folder):
     under = {"altitude_m": 20.0, "weights": {"risk": 5}}
     path = ju.plan(str(folder), START, GOAL, **under)
@@ -221,6 +222,7 @@ def test_functions_come_before_classes_in_what_is_public():
     assert is_class == sorted(is_class)
 
 
+@pytest.mark.slow
 def test_values_lead_to_their_pictures_and_one_map_is_taken_by_its_name():
     path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
     whole = [panel.get_title("left") for panel in MAPS.plot().axes]

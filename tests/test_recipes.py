@@ -68,6 +68,7 @@ def test_tiles_are_where_the_map_is_in_its_colours(made):
     assert image.startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", ["nav2"], indirect=True)
 def test_a_map_of_ros_has_its_cells_at_their_places(made):
     yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")

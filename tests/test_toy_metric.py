@@ -146,6 +146,7 @@ def test_tiles_equal_the_whole_and_files_hold_it(tmp_path):
     assert list(ju.open_maps(folder).metrics) == ["population", "toy"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", [*PLANNERS, "astar-volume"])
 def test_every_planner_pays_for_it(maps, ends, planner):
     settings = {

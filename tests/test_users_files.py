@@ -297,6 +297,7 @@ def test_what_a_user_adds_to_the_zarr_is_kept_and_the_maps_are_read(
         assert {each: each.read_bytes() for each in kept} == kept
 
 
+@pytest.mark.slow
 def test_a_file_among_unfinished_maps_that_are_not_gone_on_with_is_moved(
     tmp_path, monkeypatch, capsys
 ):

@@ -81,6 +81,7 @@ def test_a_receiver_that_tracks_what_is_in_view_scores_above_every_shift():
     assert score(found(), "error_2d_m").within > 0.6
 
 
+@pytest.mark.slow
 def test_a_shuffled_log_scores_nothing():
     of = tracking(np.random.default_rng(7).permutation(true_log().num_tracked.to_numpy()))
     assert abs(of.within) < 0.3
@@ -108,6 +109,7 @@ def test_quarters_alone_score_over_the_whole_track_and_not_within_blocks():
     assert of.within < 0.25
 
 
+@pytest.mark.slow
 def test_the_scores_and_the_shifts_agree_and_pieces_are_medians_of_their_epochs():
     of = found().shifts.query("witness == 'num_tracked' and piece_m == 25.0")
     assert len(of) == len(found().pieces)
@@ -251,6 +253,7 @@ def test_the_table_holds_the_numbers_of_the_scores():
     assert "nan" not in text
 
 
+@pytest.mark.slow
 def test_a_log_of_errors_alone_is_scored_and_a_short_still_one_has_no_interval():
     errors = counted(scenario(), true_log()[["utc", "lon_deg", "lat_deg", "error_2d_m"]], SETTINGS)
     assert list(errors.main.witness) == ["error_2d_m"]

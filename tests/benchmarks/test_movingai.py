@@ -43,6 +43,7 @@ def test_problems_are_sorted_by_length_and_read_back(tmp_path):
     assert read_scenarios(tmp_path / "a.map.scen") == problems[::-1]
 
 
+@pytest.mark.slow
 def test_the_benchmark_can_be_solved_by_its_page_alone(study, tmp_path):
     counts = export_benchmark(
         study.maps, study.instances, study.rows, tmp_path, study.settings, "made-city"

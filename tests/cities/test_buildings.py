@@ -167,6 +167,7 @@ KINDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("columns", "height_m", "issues"),
     [
@@ -303,6 +304,7 @@ TURNED = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("crs", [UTM, TURNED])
 def test_buildings_near_a_region_are_those_of_the_whole_file_in_its_order(path, crs):
     x_m, y_m = transformer(UTM, crs).transform(X + 450, Y + 450)
@@ -325,6 +327,7 @@ def test_what_lies_elsewhere_is_left_out(path):
     assert near.issues == whole.issues == {"non_polygons": 0}  # a line that says building stays
 
 
+@pytest.mark.slow
 def test_a_region_without_buildings_is_told_of_by_the_whole_file(path):
     away = (X + 9e5, Y, X + 9e5 + 10, Y + 10)
     part, whole = (

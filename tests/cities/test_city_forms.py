@@ -336,6 +336,7 @@ def file_of(folder, members):
     return written(folder / "a.gml", citygml(*members, BESIDE))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STANDS)
 def test_a_building_stands_however_it_is_written(tmp_path, name):
     height_m, _, counts = reach_m(file_of(tmp_path, STANDS[name]))
@@ -513,6 +514,7 @@ def test_parts_in_parts_are_read_in_time_or_refused(tmp_path):
     assert reach_m(path)[0] == pytest.approx(30)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["x", "EPSG:", "EPSG" + "." * 99, "ETRS89_UTM3"])
 def test_a_crs_of_any_length_is_refused_at_once(tmp_path, name):
     path = written(tmp_path / "a.gml", citygml(TOWER, srs=name * (20_000 // len(name))))

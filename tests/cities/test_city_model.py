@@ -330,6 +330,7 @@ def moved(corners, crs):
     return [(*to.transform(x, y), z) for x, y, z in corners]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("srs", "crs", "is_asked"),
     [

@@ -75,6 +75,7 @@ def heights(path, about, crs=WGS84, near=None, **settings):
     return city.buildings.height_m.tolist(), issues
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_tables_of_publishers_are_known_by_their_columns(tmp_path, name):
     about, height_m = PUBLISHED[name]

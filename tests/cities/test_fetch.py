@@ -303,6 +303,7 @@ CUT_OFF = OSM.replace(b"</osm>", b"<remark> runtime error: Query timed out </rem
 NO_PEOPLE = blocks_geojson().replace(b"POP100", b"other")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "body", "words"),
     [

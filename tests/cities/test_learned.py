@@ -210,6 +210,7 @@ def test_users_word_takes_nothing_back_that_the_file_says(tmp_path):
     assert read.structures.upper_m.tolist() == [np.inf, 10]
 
 
+@pytest.mark.slow
 def test_word_of_the_user_is_a_guess_of_the_city_and_of_its_scenario(tmp_path):
     with pytest.warns(ju.GuessWarning, match="highest_m=40"):
         city = ju.City.from_files(

@@ -96,6 +96,7 @@ def test_classes_become_roofs_plants_and_ground(tmp_path, name):
     assert_scene(city_of(made.rename(tmp_path / name)))
 
 
+@pytest.mark.slow
 def test_maps_have_the_house_and_the_tree(tmp_path):
     city = city_of(write_points(tmp_path / "a.laz"))
     with warnings.catch_warnings():
@@ -106,6 +107,7 @@ def test_maps_have_the_house_and_the_tree(tmp_path):
     assert np.sum(np.isclose(roof_m, TREE_M, atol=0.01)) >= 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("crs", "unit_m", "keys"),
     [

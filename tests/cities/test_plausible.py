@@ -253,6 +253,7 @@ def test_a_place_far_from_the_area_of_its_crs_is_refused_with_both(tmp_path, nam
         ju.City.from_files(in_crs(tmp_path, name, declared, x, y))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("declared", "lon", "lat"),
     [
@@ -324,6 +325,7 @@ def ground(folder, level_m):
     return write_raster(folder / "dtm.tif", np.full((60, 60), level_m, np.float32))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", range(3))
 @pytest.mark.parametrize(
     ("base_m", "level_m", "is_refused"),

@@ -111,6 +111,7 @@ def test_all_twelve_districts_are_there_and_commerce_is_in_the_south(city):
     )
 
 
+@pytest.mark.slow
 def test_streets_are_turned_29_degrees_clockwise_from_north(full_city):
     blocks = full_city.blocks
     is_whole = np.abs(blocks.area_m2 - np.median(blocks.area_m2)) < 1e-3  # the box cuts the others

@@ -100,6 +100,7 @@ def test_what_a_path_notes_is_printed_in_its_message_alone(made, capsys):
     assert "Roofs: the lowest pass" in err
 
 
+@pytest.mark.slow
 def test_a_goal_that_is_walled_in_ends_with_exit_code_three(tmp_path, capsys):
     court = box(-73.9965, 40.7575, -73.995, 40.7585)
     scenario = write_city(tmp_path, box(-73.9975, 40.7568, -73.994, 40.7592) - court)
@@ -114,6 +115,7 @@ def test_a_goal_that_is_walled_in_ends_with_exit_code_three(tmp_path, capsys):
     assert "fly higher" in facts["message"]
 
 
+@pytest.mark.slow
 def test_a_region_without_buildings_is_fine_when_asked_for(tmp_path, capsys):
     scenario = write_city(tmp_path, box(-73.95, 40.75, -73.949, 40.751))
     assert (
@@ -263,6 +265,7 @@ def heavy_after(words: list[str], folder: Path) -> tuple[str, str]:
     return ended.stdout.strip(), ended.stderr
 
 
+@pytest.mark.slow
 def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_path):
     wrong = tmp_path / "wrong.plan"
     wrong.write_text("no plan")
@@ -293,6 +296,7 @@ def test_wrong_options_and_files_are_answered_before_jax_is_imported(made, tmp_p
     assert not {"jax", "matplotlib", "numba", "rasterio", "scipy", "xarray"} & set(heavy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("option", "allowed"),
     [

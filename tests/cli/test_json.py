@@ -117,6 +117,7 @@ def test_without_json_a_failure_prints_nothing_on_stdout(capsys):
     assert run(capsys, "info", "no.tif")[1] == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["maps", "info", "info-file", "plan", "when", "compare", "fetch", "sky"]
 )
@@ -147,6 +148,7 @@ def walled(tmp_path_factory) -> tuple[Path, str]:
     return folder / "maps", "--goal={},{}".format(*court.centroid.coords[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [(), ("--when",)])
 def test_a_plan_without_a_path_says_so_as_an_object(walled, capsys, more):
     folder, goal = walled
@@ -195,6 +197,7 @@ def test_a_study_is_an_object(code, tmp_path, capsys, made):
     assert (check_json(out, code, "study")["message"] is None) == (code == ExitCode.DONE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [ExitCode.DONE, ExitCode.NO_PATH])
 def test_a_study_of_sensitivity_is_an_object(code, walled, made, tmp_path, capsys):
     folder, goal = walled if code else (made, ENDS[1])

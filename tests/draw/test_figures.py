@@ -319,6 +319,7 @@ def test_routes_that_coincide_are_all_seen_and_each_is_drawn_where_it_is(maps):
         assert (off < 25).sum() > 500
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("laid_out")
 def test_cells_that_are_closed_and_no_obstacle_are_hatched_and_the_legend_says_so():
     maps = made_maps(30, 40, (20.0,))
@@ -368,6 +369,7 @@ def test_routes_under_other_rules_hatch_what_is_closed_to_all_of_them(maps):
     assert np.array_equal(both, narrow)
 
 
+@pytest.mark.slow
 def test_paths_and_their_rules_are_named_only_where_there_are_some(maps):
     rules = "cost model: line · weights: distance 0.1, gps 1 · obstacles: touched, vertical clearance of 3 m"
     for draw in (plotting.plot_paths, plotting.plot_overview):
@@ -422,6 +424,7 @@ def test_every_epoch_is_drawn_and_the_share_of_good_ones():
     assert not {"gps_epochs", "gps_availability"} & set(maps_figures(make_maps(), ()))
 
 
+@pytest.mark.slow
 def test_a_long_series_is_drawn_by_its_statistics(maps):
     ds = at_epochs(3).ds
     series = {f"gps_{what}": ds["gps"].isel(time=0) for what in ("median", "p05", "availability")}
@@ -464,6 +467,7 @@ def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
     assert (widths_pt[0], widths_pt[-1]) == (WIDEST_PT, LINE_PT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rows", "cols", "resolution_m"), [(34, 40, 100.0), (100, 50, 200.0), (30, 75, 20.0)]
 )
@@ -526,6 +530,7 @@ def test_every_function_takes_altitude_m(maps):
         assert len(panels_of(draw(maps, altitude_m=[20.0, 60.0]))) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", ["page", "column"])
 @pytest.mark.usefixtures("laid_out")
 def test_no_axes_are_empty_and_no_bar_is_wider_than_its_map(maps, width):

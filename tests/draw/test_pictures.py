@@ -38,6 +38,7 @@ def test_every_function_that_draws_is_looked_at():
     assert sorted(PICTURES) == sorted(functions())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "case"), cases())
 def test_nothing_of_a_picture_is_cut_covered_small_or_pale(name, case):
     figure = draw(name, case)

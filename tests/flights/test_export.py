@@ -189,6 +189,7 @@ def random_route(seed: int, over_hill: bool):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("over_hill", [True, False])
 def test_what_mavsdk_reads_is_the_path_in_place_and_in_height(over_hill, reader, tmp_path):
     file = tmp_path / "path.plan"
@@ -244,6 +245,7 @@ def test_only_ground_that_bends_adds_waypoints(tmp_path):
         np.testing.assert_allclose([item["Altitude"] for item in items[:-1]], heights_m, atol=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "slope", "bump_m"),
     [(".plan", 0.2, 3.0), (".gpx", 0.2, 3.0), (".kml", 0.2, 3.0), (".plan", 0.54, 8.0)],

@@ -167,6 +167,7 @@ def test_points_along_the_way_home_clear_every_outline_by_the_clearances():
         assert least_m == pytest.approx(highest_m + ABOVE_M) or len(unsure_m)
 
 
+@pytest.mark.slow
 def test_a_guessed_roof_is_cleared_by_its_bound_and_without_one_nothing_is_known():
     for bound_m, is_known in ((BOUND_M, True), (math.inf, False)):
         maps, city = scene_of(hills=False, guessed=49, bound_m=bound_m)
@@ -260,6 +261,7 @@ def plan_of(folder, home: Place, places: list[Place], firmware: int) -> str:
     return str(file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("firmware", "names"),
     [
@@ -300,6 +302,7 @@ def test_a_flight_above_all_may_return_at_its_own_height(tmp_path):
     assert lines == ["A return clears all at the height that the flight has, wherever it begins."]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["leg", "climb", "land"])
 def test_a_straight_descent_or_landing_away_from_home_needs_what_its_place_needs(kind):
     maps, city = scene_of(hills=False)
@@ -320,6 +323,7 @@ def test_a_straight_descent_or_landing_away_from_home_needs_what_its_place_needs
     assert result.return_lines[0] == f"A return at {math.ceil(low['least_m'])} m clears all."
 
 
+@pytest.mark.slow
 def test_what_is_not_judged_is_not_said_to_be_cleared():
     maps, city = scene_of(hills=False)
     home, *places = places_of(maps, 7, 30)

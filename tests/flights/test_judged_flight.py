@@ -131,6 +131,7 @@ def test_heights_above_terrain_that_are_not_known_above_the_sea_are_flown_straig
     assert set(result.findings["kind"]) == {"terrain"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["kml", "geojson"])
 def test_lines_above_the_ground_are_judged_straight_and_along_the_ground(tmp_path, suffix):
     def line(scene):
@@ -322,6 +323,7 @@ def test_a_return_comes_down_from_the_height_at_which_it_flies(tmp_path):
     assert result.flight.steps.z_m.max() == pytest.approx(50.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_only_a_return_from_a_known_height_is_answered_by_a_return_altitude(tmp_path):
     scene = world((10.0, 10.0, 5.0, 5.0))
     level = (WAYPOINT, 3, (500.0, 300.0), 30.0, ())

@@ -481,6 +481,7 @@ def test_lines_without_heights_are_refused(read):
         read("lat,lon\n1,2\n3,4\n", "m.csv", heights="geoid")
 
 
+@pytest.mark.slow
 def test_ten_thousand_items_are_read_in_a_second(read):
     jumps = [item(JUMP, frame=2, params=(2, 1, 0, 0))] * 3000
     items = [BOX[0], *(item(at=1 + number / 1000) for number in range(7000)), *jumps]

@@ -118,6 +118,7 @@ class Fine:
         return np.array(seen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_figures_are_those_of_places_every_five_centimetres(seed):
     maps = made_maps(altitudes_m=(20.0, 60.0, 120.0))

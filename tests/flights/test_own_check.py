@@ -146,6 +146,7 @@ def test_snapping_to_the_ground_takes_the_nearest_cell_that_is_free_below(town):
     assert (many.xy_m == path.xy_m).all()
 
 
+@pytest.mark.slow
 def test_a_flight_from_a_roof_has_its_heights_from_there(town, city, tmp_path, monkeypatch):
     # A mission of another tool, whose home is on the roof.
     on = ju.cost_map(town, ALTITUDE_M)

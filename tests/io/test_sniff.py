@@ -119,6 +119,7 @@ OSM_FORMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", OSM_FORMS)
 @pytest.mark.parametrize("name", ["city.osm", "city.json", "export"])
 def test_every_form_of_openstreetmap_holds_the_same_buildings_under_any_name(tmp_path, form, name):
@@ -126,6 +127,7 @@ def test_every_form_of_openstreetmap_holds_the_same_buildings_under_any_name(tmp
     assert_both_squares(tmp_path / name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["city.geojsonl", "city.ndjson", "city.csv", "city.json"])
 def test_geojson_lines_are_read_under_any_name(tmp_path, name):
     (tmp_path / name).write_text(LINES)

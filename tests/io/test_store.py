@@ -113,6 +113,7 @@ def test_any_flipped_bit_of_a_geotiff_or_style_is_noticed(ds, tmp_path):
             assert [each.stat().st_mtime_ns for each in files if each != file] == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["obstacle", "gps", "has_data"])
 def test_no_flipped_bit_of_a_chunk_changes_a_value_in_silence(ds, path, tmp_path, name):
     """The few flips that are not seen lie in bits of the frame that mean nothing."""

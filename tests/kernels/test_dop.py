@@ -181,6 +181,7 @@ def test_more_clocks_never_lower_the_dops_of_the_position():
     assert np.isinf(two[0]).sum() > np.isinf(one[0]).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("numbers", "seen"),
     [

@@ -33,6 +33,7 @@ def by_hulls(top_m: np.ndarray, home: np.ndarray) -> np.ndarray:
     return highest_m.reshape(top_m.shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("tops", TOPS)
 def test_highest_cell_homeward_is_that_of_the_hulls_that_cells_make_with_home(place, tops):

@@ -139,6 +139,7 @@ def assert_as_marched(counts, roof_m, terrain_m, altitudes_m, *scan):
         np.testing.assert_array_equal(count, march_rays(roof_m, terrain_m, halo, altitude_m, *scan))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "form"), PARAMS)
 def test_counts_equal_a_marcher_of_single_beams_in_every_cell(name, form):
     altitudes_m, (low, high, num_beams), num_azimuths, range_m, resolution_m = CASES[name]
@@ -168,6 +169,7 @@ GROUNDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ON_TERRAIN)
 @pytest.mark.parametrize("name", GROUNDS)
 def test_counts_on_any_ground_equal_the_marcher_over_several_tiles(name, form):

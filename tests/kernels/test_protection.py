@@ -132,6 +132,7 @@ def slow_levels(satellites: Ranging, budget: RiskBudget) -> tuple[float, float]:
     return float(np.hypot(found[0], found[1])), found[2]
 
 
+@pytest.mark.slow
 def test_the_published_example_has_its_published_levels():
     satellites = ranging(-EXAMPLE[:, :3], np.repeat([0, 1], 5), np.sqrt(EXAMPLE[:, 3:].T))
     hpl_m, vpl_m = levels_of(satellites)

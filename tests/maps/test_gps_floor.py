@@ -51,6 +51,7 @@ def with_floor(task: MapTask) -> MapTask:
     return replace(task, params=replace(task.params, sections=sections))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dop", ["gdop", "vdop"])
 def test_the_maps_are_good_a_centimetre_above_it_and_bad_a_centimetre_below(dop):
     params = GpsFloor(5.0, dop)
@@ -191,6 +192,7 @@ def joined_ends(maps, limits):
     raise AssertionError("no shortest way leads below the floor")
 
 
+@pytest.mark.slow
 def test_routes_stay_above_it_and_reports_and_checks_say_where_they_do_not(two_altitudes):
     maps = two_altitudes
     limits = ju.Constraints.read(require="gps_floor")

@@ -137,6 +137,7 @@ def test_one_guessed_roof_of_many_is_known_by_all_cells_that_it_touches(tmp_path
     np.testing.assert_array_equal(surface.roof_guessed, touched.astype(bool))
 
 
+@pytest.mark.slow
 def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path):
     city, at_reading = town(tmp_path, ["300", None, None, "25"])
     maps, at_building = told_by(

@@ -261,6 +261,7 @@ def spread_canopy() -> Raster:
     return Raster(values, place, tiled_runs.city().crs)
 
 
+@pytest.mark.slow
 def test_with_buildings_alone_maps_and_inputs_are_those_of_a_city_without_others():
     both = replace(by_raster(), structures=structures(), kinds=("building",))
     without = town(structures().take(structures().kinds == "unknown"))
@@ -477,6 +478,7 @@ def test_plants_beyond_the_maps_are_not_looked_at_so_that_nearby_is_not_judged(t
         assert result.state == state
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_outlines", [True, False])
 @pytest.mark.parametrize("is_beyond", [True, False])
 def test_where_plants_are_not_known_nothing_below_their_bound_is_judged(

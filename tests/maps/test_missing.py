@@ -91,6 +91,7 @@ def folder(maps, tmp_path_factory) -> Path:
     return maps.save(tmp_path_factory.mktemp("maps"), layers=("all",))
 
 
+@pytest.mark.slow
 def test_every_map_is_missing_where_its_variable_says_so(maps):
     is_lost, is_obstacle = ~maps.ds["has_data"].values, maps.ds["obstacle"].values != 0
     for name, array in maps.ds.data_vars.items():
@@ -110,6 +111,7 @@ def test_every_map_is_missing_where_its_variable_says_so(maps):
     assert is_obstacle.any()
 
 
+@pytest.mark.slow
 def test_files_hold_what_memory_holds(maps, folder):
     opened, raw = ju.open_maps(folder), xr.open_zarr(folder / "maps.zarr/20m")
     assert [*opened.metrics] == [*maps.metrics]

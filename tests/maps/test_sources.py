@@ -30,6 +30,7 @@ def maps(folder):
     return folder / "maps"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
 def test_the_city_is_found_beside_its_maps_and_where_it_is_named(folder, maps, tmp_path):
     beside = city_of(maps)
@@ -65,6 +66,7 @@ def test_a_record_of_somebody_else_names_no_file_that_is_read(maps, tmp_path):
         city_of(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
 def test_a_check_says_first_which_kinds_the_maps_leave_out(maps, folder, tmp_path):
     record = read_json(maps / RUN_FILE)

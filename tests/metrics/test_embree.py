@@ -284,6 +284,7 @@ AZIMUTH_RAD = np.radians(np.arange(24) * 15.0 + 4.0)
 ELEVATION_RAD = np.radians(np.tile([10.0, 20.0, 33.0, 48.0, 63.0, 80.0], 4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned_deg", [0.0, 27.0, 45.0, 81.0])
 def test_98_percent_of_answers_under_and_beside_a_deck_are_those_of_embree(turned_deg):
     deck = np.array(

@@ -160,20 +160,9 @@ def test_unknown_roofs_and_cells_without_data_are_kept_clear_of():
     assert np.array_equal(closed, by_hand)
 
 
-@pytest.mark.parametrize(
-    "planner",
-    [
-        pytest.param(name, marks=[pytest.mark.slow] * name.startswith("bitstar"))
-        for name in PLANNERS
-    ],
-)
-@pytest.mark.parametrize(
-    ("seed", "clearance_m"),
-    [
-        (6, 2.0),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((4, 7.0), (5, 5.0))),
-    ],
-)
+@pytest.mark.parametrize("planner", PLANNERS)
+@pytest.mark.parametrize(("seed", "clearance_m"), [(6, 2.0), (4, 7.0), (5, 5.0)])
+@pytest.mark.slow
 def test_every_planner_keeps_it_and_every_file_too(planner, seed, clearance_m, tmp_path):
     """Legs keep 2.05, 0.05 and 2.05 m from closed cells, beside 5, 5 and 0 m between squares."""
     kept = KEPT | {"clearance_m": clearance_m}
@@ -193,6 +182,7 @@ def test_every_planner_keeps_it_and_every_file_too(planner, seed, clearance_m, t
     assert num_found == 4 or planner == "ptp"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_no_leg_comes_nearer_to_random_outlines_than_is_asked(seed, tmp_path):
     """Whatever is asked, at any angle: theta* and A*, refined and simplified, against the outlines by Shapely."""
@@ -241,6 +231,7 @@ def test_five_metres_on_cells_of_five_close_what_less_does_and_the_message_names
         assert ("3 m asked" in path.to_dict()["message"]) == is_said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [6, 7, 8])
 def test_paths_that_climb_keep_it_and_their_files_too(seed, tmp_path):
     maps, constraints = scattered(seed), ju.Constraints.read(**KEPT)

@@ -67,6 +67,7 @@ def test_where_there_are_no_data_no_bound_holds(maps):
     assert constraints.closed(holey, ALTITUDE_M).sum() == 5 * maps.grid.num_cols
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("require", ["lidar>=0.3", "num_visible>=4"])
 @pytest.mark.parametrize("planner", ["ptp", "astar-dist", "astar-plus", "bitstar-plus"])
 def test_no_planner_enters_a_zone_or_breaks_a_bound(maps, ends, planner, require):
@@ -309,6 +310,7 @@ def test_the_free_cell_nearest_to_the_place_itself_is_taken(block, inside):
         assert just_as_far.snap_distance_m[0] == 70.0
 
 
+@pytest.mark.slow
 def test_how_far_is_told_in_text_json_and_files(block, inside, tmp_path, capsys):
     block.save(tmp_path / "maps")
     arguments = ("plan", tmp_path / "maps", *options_of(block, **inside))

@@ -33,9 +33,6 @@ MODELS = [
         ("cell", "line"), (4, 8), ("both-free", "always")
     )
 ]
-QUICK_MODELS = [
-    MODELS[k] for k in (0, 3, 5, 6)
-]  # each value of each part with each other's; the rest is slow
 QUICK = ju.studies.SensitivitySettings(vary=("gps",))
 QUICK_OPTIONS = ("--vary", "gps", "-o")
 REQUIRE = "risk>=0.08"
@@ -116,11 +113,8 @@ def test_each_part_of_a_cost_model_and_constraints_change_the_cost(plans):
 
 
 @pytest.mark.parametrize("constrained", ["none", "constraints"])
-@pytest.mark.parametrize(
-    "model",
-    [pytest.param(m, marks=() if m in QUICK_MODELS else pytest.mark.slow) for m in MODELS],
-    ids=str,
-)
+@pytest.mark.parametrize("model", MODELS, ids=str)
+@pytest.mark.slow
 def test_every_way_gives_one_path_one_cost(
     maps, ends, plans, closing, model, constrained, tmp_path
 ):

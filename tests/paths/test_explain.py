@@ -105,6 +105,7 @@ def test_segments_add_up_to_the_paths_cost_layer_by_layer(maps, ends, planner, c
             assert weighted == pytest.approx(mean, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model", [ju.CostModel(*parts) for parts in itertools.product(*MODELS)], ids=str
 )

@@ -39,6 +39,7 @@ def written_m(on, file) -> np.ndarray:
     return np.column_stack(on.grid.xy_of_lonlat(*READERS[".plan"](file)[:, :2].T))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", [False, True])
 @pytest.mark.parametrize("planner", ["astar-plus", "theta-star"])
 def test_a_mission_of_tens_comes_out_of_a_path_of_hundreds_and_no_leg_of_the_file_enters_a_closed_cell(

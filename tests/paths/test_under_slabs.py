@@ -53,6 +53,7 @@ def in_buildings(path: PlannedPath, rule: str) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", RULES)
 def test_where_planners_may_fly_is_where_they_may_if_everything_reaches_the_ground(maps, rule):
     slabs, grounded = (held.with_obstacles(rule) for held in (maps, made(TO_GROUND)))
@@ -64,6 +65,7 @@ def test_where_planners_may_fly_is_where_they_may_if_everything_reaches_the_grou
             np.testing.assert_array_equal(*closed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("planner", ["astar-dist", "astar-plus", "theta-star", "bitstar-plus"])
 @pytest.mark.parametrize("altitude_m", [5.0, 13.0])

@@ -71,6 +71,7 @@ def across(scene: World, box, height_m: float) -> str:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_outlines", [True, False])
 @pytest.mark.parametrize(
     ("box", "height_m", "state"),
@@ -127,6 +128,7 @@ def test_beside_a_guessed_house_the_clearance_counts_up_to_its_bound(tmp_path):
         assert result.state == state, (beside_m, height_m, result)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", [NOTHING, {}, {"clearance_m": 12.0}])
 @pytest.mark.parametrize("altitude_m", [20.0, 40.0])
 def test_planned_routes_never_enter_between_the_heights_and_pass_their_own_check(
@@ -218,6 +220,7 @@ def test_over_falling_ground_the_bound_is_measured_from_where_a_path_may_pass_it
     assert limits.is_free(scene.maps, LIMIT_M + 11.0)[beside]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("origin", [HeightOrigin.HEIGHT, HeightOrigin.DEFAULT])
 @pytest.mark.parametrize("kind", ["wire", "cableway", "mast"])
 def test_a_finding_about_a_wire_says_the_height_that_was_taken(tmp_path, kind, origin):

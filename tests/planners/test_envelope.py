@@ -24,6 +24,7 @@ def make(cost_model="cell", seed=0, shape=(12, 15)):
     return Problem(layers, is_free, (0, 0), (shape[0] - 1, shape[1] - 1), 5.0, 0.1, cost_model)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_the_gradient_of_the_optimal_cost_is_that_of_replanned_costs(cost_model):
     problem = make(cost_model)

@@ -45,6 +45,7 @@ SHAPE = (21, 34)
 SEEDS = st.integers(0, 10**6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(13, 17), (8, 2), (1, 50), (43, 61), (4, 5, 6), (1, 9, 11)])
 @settings(max_examples=12)
 @given(seed=SEEDS, dtype=st.sampled_from([np.float32, np.float64]))

@@ -119,6 +119,7 @@ def labels(problem, layers):
     return np.array(kept.get(goal, []))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_one_and_two_budgets_on_eight_neighbours_equal_all_undominated_paths(seed):
     problem = made(seed, (6, 7), 8)

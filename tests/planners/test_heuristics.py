@@ -92,6 +92,7 @@ def test_tiles_prove_what_a_thick_wall_closes_and_hide_no_detour_beyond_what_the
     assert tiles.cost == pytest.approx(octile.cost, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("connectivity", [8, 4])
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_the_landmarks_bound_stays_below_the_cost_to_the_last_bit_and_at_a_landmark_is_it_both_ways(

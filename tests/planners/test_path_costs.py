@@ -188,6 +188,7 @@ def compiled_costs(cell_cost, segments, is_line, passes_corners):
     return costs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("diagonal", ["both-free", "always"])
 @pytest.mark.parametrize("cost_model", ["line", "cell"])
 @pytest.mark.parametrize("walk", [bulk_costs, compiled_costs])

@@ -159,10 +159,9 @@ def check_random_query(number: int) -> tuple[bool, bool]:
     return True, is_cheaper
 
 
-@pytest.mark.parametrize(
-    "num_queries", [10 * len(RUNS), pytest.param(1000, marks=pytest.mark.slow)]
-)
-def test_paths_of_random_queries_refined_and_simplified_keep_to_free_cells_by_shapely(num_queries):
+@pytest.mark.slow
+def test_paths_of_random_queries_refined_and_simplified_keep_to_free_cells_by_shapely():
+    num_queries = 1000
     num_found, num_cheaper = np.sum([check_random_query(k) for k in range(num_queries)], axis=0)
     assert num_found > 0.6 * num_queries
     assert num_cheaper > 0.2 * num_queries
@@ -205,6 +204,7 @@ def test_even_costs_count_along_the_line_within_the_planners_discretisation(name
     assert path.status is refined.status is unproven.get(name, Status.OPTIMAL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "model"), RUNS)
 def test_start_at_the_goal_costs_nothing(name, model):
     is_free, layers, _ = city_map(0)

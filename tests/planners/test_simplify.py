@@ -76,6 +76,7 @@ def fewest_by_brute_force(is_free, xy, tolerance, margin):
     return best[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["walk", "staircase", "loops"])
 def test_no_way_over_the_points_has_fewer_legs_or_more_even_ones(kind):
     for seed in range(8):

@@ -49,6 +49,7 @@ def test_a_place_is_printed_and_written(maps, tmp_path, capsys):
     assert [row["time"] for row in facts["dops"]] == [WHEN]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
 def test_a_track_and_a_route_give_a_row_a_place(maps, tmp_path, capsys):
     track = tmp_path / "track.csv"

@@ -208,6 +208,7 @@ def test_a_second_run_in_the_same_folder_is_refused(job):
     pipeline.run_scenario(job_of(), job)
 
 
+@pytest.mark.slow
 def test_spreads_are_not_taken_for_statistics_over_time(tmp_path):
     pipeline.run_scenario(job_of(buildings={"source": "synthetic", "height_samples": 2}), tmp_path)
     assert "gps_p05" in ju.open_maps(tmp_path).ds

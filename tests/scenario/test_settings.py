@@ -220,6 +220,7 @@ def test_keys_of_a_scenario_are_those_of_its_record(file):
     ] == []
 
 
+@pytest.mark.slow
 def test_a_folder_of_other_maps_says_which_settings_differ(job, file, capsys):
     assert (
         run(capsys, "maps", file, "-o", job, "--set", "weights.gps=3", "--set", "planning.seed=2")[

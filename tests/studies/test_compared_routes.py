@@ -30,6 +30,7 @@ def ends(row):
     return ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
 
 
+@pytest.mark.slow
 def test_costs_and_regrets_are_sums_by_hand(maps, found):
     (here, there), num_closed, num_open = maps, 0, 0
     for row in found.routes.groupby("altitude_m").head(24).itertuples():
@@ -90,6 +91,7 @@ def test_routes_whose_end_or_way_b_closes_have_no_way_there(maps):
     assert verdict.facts["closed"] >= verdict.facts["lost"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_draws_the_same_pairs_and_no_map_has_regrets_under_itself(maps, found):
     again = ju.studies.compare(*maps, routes=NUM, seed=3, progress=False)
     pd.testing.assert_frame_equal(again.routes, found.routes)

@@ -100,6 +100,7 @@ def test_intervals_of_many_effects_hold_at_once():
     assert np.mean(wrong) <= 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_random_cases_with_a_known_answer_are_not_decided_wrongly(seed):
     case = random_case(seed)

@@ -167,6 +167,7 @@ def test_the_verdict_names_the_one_setting_that_differs_and_the_mean_over_all_ce
     assert [verdict.kind.name for verdict in others] == ["NO_ROUTES"]
 
 
+@pytest.mark.slow
 def test_the_next_command_can_be_pasted(maps, found, tmp_path):
     assert found.decided.facts["next"] == "ju.studies.compare(A, B, routes=40)"
     folders = [each.save(tmp_path / name) for each, name in zip(maps, ("a {b}", "c"), strict=True)]

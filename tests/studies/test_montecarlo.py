@@ -180,6 +180,7 @@ def test_a_study_without_a_path_has_its_report(study, tmp_path):
     assert not (tmp_path / "figures" / "costs.png").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("planners", "altitudes_m"), [(["ptp"], [20.0]), (STUDY.planners, [20.0, 60.0])]
 )

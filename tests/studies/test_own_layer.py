@@ -26,6 +26,7 @@ def test_its_weight_changes_the_route_of_plan_many_and_explain_agrees(noisy, end
     assert ju.explain(loud, noisy).totals["cost"] == pytest.approx(loud.cost, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_sensitivity_finds_the_breakpoints_of_its_weight(noisy, ends, tmp_path):
     how = ju.studies.SensitivitySettings(vary=("noise",))
     under = {"altitudes_m": [20.0], "weights": LOUD.replace(noise=1.0), "progress": False}

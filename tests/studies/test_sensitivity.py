@@ -137,6 +137,7 @@ def command(crossed, ends, tmp_path, capsys):
     return runs
 
 
+@pytest.mark.slow
 def test_gradient_of_the_cheapest_cost_equals_central_differences(crossing, found):
     route = found.route
     shares = found.tables["weights"].set_index("weight_name").elasticity
@@ -249,6 +250,7 @@ def test_the_command_prints_json_and_tells_a_start_that_was_moved_there_and_in_t
         assert "The start was not free: it was moved 30.0 m, to a free cell." in text
 
 
+@pytest.mark.slow
 def test_a_walled_goal_is_exit_3(crossed, command, tmp_path):
     walled(crossed, 15).save(tmp_path / "maps")
     code, _, err = command()

@@ -122,6 +122,7 @@ def test_what_is_drawn_depends_on_the_order_of_the_cities_and_not_on_their_names
         run_study("weight_study", folders[::-1], weight_study.folder)
 
 
+@pytest.mark.slow
 def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(alpha, weight_study, tmp_path):
     of_alpha = weight_study.instances[weight_study.instances.city == "alpha"]
     asked = of_alpha[of_alpha.instance == weight_study.instances.instance[0]]
@@ -143,6 +144,7 @@ def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(alpha, weight_
     assert not again.is_sampled
 
 
+@pytest.mark.slow
 def test_a_route_that_fails_is_a_row_with_its_status(alpha, folders, weight_study, tmp_path):
     rows = weight_study.instances[weight_study.instances.city == "alpha"].iloc[:3].copy()
     rows["instance"] = [0, 1, 2]
@@ -182,6 +184,7 @@ def test_the_report_names_every_figure_and_every_table_is_written(weight_study):
     assert "Routes were drawn by stratum" in report
 
 
+@pytest.mark.slow
 def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_population(
     weight_study,
 ):
@@ -359,6 +362,7 @@ def test_rows_on_changed_maps_that_are_kept_are_not_made_again(of_heights, monke
         study(settings=more)
 
 
+@pytest.mark.slow
 def test_routes_on_maps_without_their_sources_are_studied_but_for_drawn_heights(
     alpha, weight_study, tmp_path
 ):

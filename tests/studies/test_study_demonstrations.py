@@ -34,6 +34,7 @@ def costs_of(shown):
     return [each.features @ HIDDEN.vector(each.query.names) for each in shown]
 
 
+@pytest.mark.slow
 def test_instances_of_a_study_give_the_routes_of_its_exact_planner_at_their_costs(
     study, maps, tmp_path
 ):

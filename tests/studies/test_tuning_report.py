@@ -118,6 +118,7 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     assert "as given" not in report
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("num_sources", "options", "words"),
     [

@@ -268,6 +268,7 @@ def test_outlines_and_skies_are_of_moved_files_where_their_folder_is_named(
         page.unlink()
 
 
+@pytest.mark.slow
 def test_a_report_has_the_time_and_the_energy_as_the_command_and_files_do(viewer, capsys):
     before = answer(viewer, "report", **QUERY)["totals"]
     assert "time s" not in before
@@ -352,6 +353,7 @@ def test_what_is_yes_or_no_in_a_cell_is_told_in_words():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "more",
     [
@@ -432,6 +434,7 @@ def test_a_route_names_its_status_and_the_report_once_each_end_that_was_moved(vi
     assert "moved" not in route["button"] + answer(viewer, "report", **QUERY)["cautions"]
 
 
+@pytest.mark.slow
 def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(viewer):
     query = QUERY
     found, route = answer(viewer, "report", **query), answer(viewer, "plan", **query)
@@ -457,6 +460,7 @@ def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(v
     assert found["saved"] == f"{len(places)} waypoints, {prices}, {least}"
 
 
+@pytest.mark.slow
 def test_the_profile_is_the_figure_and_the_line_along_it_spans_its_panels(viewer):
     shown = answer(viewer, "report", **QUERY | {"goal": NEAR})["profile"]
     (drawn,) = pictures_in(shown)
@@ -592,6 +596,7 @@ def test_the_public_name_stays_the_function_after_its_package_was_imported():
     assert jaxurban.view is view  # once more: the first look imports
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
 def test_a_sky_is_that_of_the_library_and_maps_in_memory_say_why_they_have_none(tmp_path):
     run_scenario(ju.Scenario.from_dict(tomllib.loads(TOWN)), tmp_path / "maps", progress=False)

@@ -119,6 +119,7 @@ def tiling(rows, cols, west, south, east, north, shape) -> Tiling:
     return Tiling.over(region, region.padded(west, south, east, north), shape)
 
 
+@pytest.mark.slow
 @given(
     sizes,
     sizes,

@@ -145,6 +145,7 @@ def test_a_softness_of_the_threshold_makes_the_solid_of_the_slice():
     np.testing.assert_allclose(soft_map("risk", softness_m=39.0), solid, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gps", "lidar", "risk"])
 def test_a_roof_at_the_altitude_is_an_obstacle_at_every_softness(name):
     height_m = np.full(len(HEIGHT_M), 20.0, np.float32)
@@ -218,6 +219,7 @@ def test_softness_0_has_no_gradient_of_gps_by_heights_and_the_exact_one_of_the_s
     )
 
 
+@pytest.mark.slow
 def test_of_risk_a_roof_above_the_altitude_has_no_gradient_and_one_below_brings_risk_as_it_grows():
     height_m = np.where(np.arange(len(HEIGHT_M)) % 2, 30.0, 18.0)
     with jax.enable_x64(True):
@@ -241,6 +243,7 @@ def test_where_no_satellite_is_there_or_seen_m_and_its_slopes_are_0_and_not_nan(
     assert not any(np.any(values) for values in jax.tree.leaves(found))
 
 
+@pytest.mark.slow
 def test_soft_gps_equals_its_definition_cell_by_cell():
     case, softness_m, angles = CASES["gps"], 2.0, (AZIMUTH_RAD, ELEVATION_RAD)
     with jax.enable_x64(True):
