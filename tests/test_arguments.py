@@ -283,6 +283,7 @@ USES: dict[str, Callable[..., Any]] = {
     "Weights": lambda **given: on.planned(weights=ju.Weights(**given)),
     "Weights.parse": lambda **given: ju.Weights.parse("gps=2", **given),
     "build_maps": on.made,
+    "cite": lambda **given: ju.cite(**{"maps": on.maps()} | given),
     "cautions": lambda **given: ju.cautions(on.path(), on.maps(), **given),
     "check": on.checked,
     "cost_map": lambda **given: ju.cost_map(on.maps(), 20.0, **given),
@@ -558,6 +559,7 @@ TABLE: dict[str, dict[str, Any]] = {
     "cautions": {
         "profile": lambda: ju.explain(on.path(), on.maps()).profile.iloc[:3].assign(hdop=np.inf)
     },
+    "cite": {"maps": None, "form": "bibtex"},
     "check": {
         "heights": Case("home", {"mission": lambda: on.a_mission(".kml")}),
         "home": Case(

@@ -180,8 +180,6 @@ def colours_of(
         step = int(high) // 5 or 1
         ticks = range(0, int(high) + 1, step)
     if scale.stretch == "log":
-        unit = 10.0 ** np.floor(np.log10(high))
-        high = unit * np.ceil(high / unit)  # of one digit, and no less than any value
         return Colours(scale.colour_map, LogNorm(high / 1000, high), label, extend="min")
     if scale.stretch == "sqrt":
         return Colours(scale.colour_map, PowerNorm(0.5, low, high), label)

@@ -90,7 +90,7 @@ class CostChoice(NamedTuple):
     time_of_day: str | None
 
 
-class NamedPath(NamedTuple):
+class DrawnPath(NamedTuple):
     """A path and what pictures call it."""
 
     path: PlannedPath
@@ -199,7 +199,7 @@ def plot_paths(
     return figure
 
 
-def named_paths(paths: Paths, names: Sequence[str] | None) -> list[NamedPath]:
+def named_paths(paths: Paths, names: Sequence[str] | None) -> list[DrawnPath]:
     """Return paths with what they are called.
 
     Args:
@@ -215,16 +215,16 @@ def named_paths(paths: Paths, names: Sequence[str] | None) -> list[NamedPath]:
             f"names must be a list of {len(planned)}, one for each path, got {names!r}"
         )
     if names is None:
-        return _by_proof([NamedPath(path, path.search.planner) for path in planned])
+        return _by_proof([DrawnPath(path, path.search.planner) for path in planned])
 
     # A dollar sign begins a formula.
     texts = [name.replace("$", r"\$") for name in names]
-    return [NamedPath(path, text) for path, text in zip(planned, texts, strict=True)]
+    return [DrawnPath(path, text) for path, text in zip(planned, texts, strict=True)]
 
 
-def _by_proof(named: Sequence[NamedPath]) -> list[NamedPath]:
+def _by_proof(named: Sequence[DrawnPath]) -> list[DrawnPath]:
     """Return paths; those of one query that are all proven cheapest on one graph become one, ``astar``."""
-    together: dict[Any, list[NamedPath]] = {}
+    together: dict[Any, list[DrawnPath]] = {}
     for number, each in enumerate(named):
         path = each.path
         key: Any = number
@@ -234,7 +234,7 @@ def _by_proof(named: Sequence[NamedPath]) -> list[NamedPath]:
             key = str((each.place, path.search.graph, ends, rules, f"{path.cost:.9g}"))
         together.setdefault(key, []).append(each)
     return [
-        NamedPath(same[0].path, same[0].name if len(same) == 1 else DEFAULTS.planner)
+        DrawnPath(same[0].path, same[0].name if len(same) == 1 else DEFAULTS.planner)
         for same in together.values()
     ]
 
@@ -242,7 +242,7 @@ def _by_proof(named: Sequence[NamedPath]) -> list[NamedPath]:
 def _cost_panel(
     maps: MetricMaps,
     place: CostChoice,
-    named: Sequence[NamedPath],
+    named: Sequence[DrawnPath],
     has_time: bool,
     has_day: bool,
 ) -> MapPanel:
@@ -285,7 +285,7 @@ def _places_at(
       time_of_day: of the one map; None: the first of the maps.
     """
     at_altitude = [path for path in planned if path.altitude_m == altitude_m]
-    places = dict.fromkeys(NamedPath(path).place for path in at_altitude)
+    places = dict.fromkeys(DrawnPath(path).place for path in at_altitude)
     day = time_of_day or next(iter(maps.times_of_day), None)
     return list(places) or [CostChoice(altitude_m, time or maps.default_time, day)]
 

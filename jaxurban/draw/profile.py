@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxurban.draw.frame import frame_note, joined, symbol_of
+from jaxurban.draw.frame import frame_note, joined
 from jaxurban.draw.style import (
     FAINT_INK,
     SMALL_PT,
@@ -95,7 +95,7 @@ def plot_profile(
                     baseline=None,
                     linewidth=1.3,
                     color=metric.colour,
-                    label=f"{metric.label} ({symbol_of(name)})",
+                    label=metric.label,
                 )
         panel.set(ylim=(-0.03, 1.03), ylabel=f"metric m\n(1 is {meaning})")
     _draw_clearance(clearance, profile, edges_km)

@@ -1,5 +1,6 @@
 """What a metric is: its parameters, its maps, its cost and how it is shown; and what it may look at."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -82,6 +83,9 @@ class Scale(NamedTuple):
             lowest, highest = ends()
             low = lowest if low is None else low
             high = highest if high is None else high
+        if self.stretch == "log" and high > 0:
+            digit = 10.0 ** math.floor(math.log10(high))
+            high = digit * math.ceil(high / digit)  # of one digit, and no less than any value
         return low, max(high - low, self.least)
 
 

@@ -10,6 +10,7 @@ import sys
 import time
 from datetime import UTC, datetime, timedelta
 from email.utils import format_datetime
+from importlib.metadata import version
 from io import BytesIO
 
 import pytest
@@ -62,7 +63,7 @@ def test_a_file_arrives_whole_and_its_name_has_its_checksum(server, replies, bod
     assert path.read_bytes() == body
     assert path.name.split("-")[1:] == [hashlib.sha256(body).hexdigest(), "a.osm"]
     assert list(cache_folder().iterdir()) == [path]
-    assert server.asked[0][1]["User-Agent"].startswith("jaxurban/1.")
+    assert server.asked[0][1]["User-Agent"].startswith(f"jaxurban/{version('jaxurban')} ")
     assert server.paths().count("/a") == 1
 
 

@@ -17,7 +17,8 @@ from jaxurban.studies.demonstrations import (
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.tuning.confidence import draw_counts
 from jaxurban.studies.tuning.target_fit import outcome_values
-from jaxurban.studies.tuning.tested import split, tested_outcomes, wish_conclusion
+from jaxurban.studies.tuning.tested import split, wish_conclusion
+from jaxurban.studies.tuning.tested import tested_outcomes as outcomes_of
 from tests.studies.routes_made import HIDDEN, NUM, cosine, made_queries, thinned
 
 VECTOR = HIDDEN.vector(("distance", "gps", "lidar", "population", "risk"))
@@ -328,7 +329,7 @@ def test_the_next_fit_to_a_wish_names_the_altitude_of_its_routes_only_where_all_
     targets = [Target.parse("mean_gps>=0.99")]
     weights = np.tile(VECTOR, (2, 1))
     for queries, named in ((low, True), ([*low, *high], False)):
-        tested = tested_outcomes(queries, targets, weights)
+        tested = outcomes_of(queries, targets, weights)
         decided = wish_conclusion(tested, targets, 0, queries, HIDDEN)
         assert "jaxurban tune" in decided.next_command
         assert ("--altitude 20 " in decided.next_command) == named

@@ -172,7 +172,6 @@ ROWS = [
     ("EPSG:25830", lambda s: other(s, crs="EPSG:25830")),
     ("altitude_m 33", lambda s: other(s, altitude_m=s.study.instances.altitude_m + 13.0)),
     ("dusk", lambda s: other(s, time_of_day="dusk")),
-    ("its cost model is line, now cell.*--overwrite", lambda s: into(s, cost_model="cell")),
     ("its budget is 200 samples, now 2.0 s", lambda s: into(s, budget_iterations=None)),
     (
         "are others or left out now .instance 0 at 20 m is the first",
