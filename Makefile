@@ -78,7 +78,7 @@ placeholders:
 # Fills in who publishes: make owner NAME=account.
 owner:
 	@test -n "$(NAME)" || { echo "say who publishes: make owner NAME=account" >&2; exit 2; }
-	sed -i.before 's/OWNER/$(NAME)/g' pyproject.toml
+	sed -i.before 's|OWNER|$(NAME)|g' pyproject.toml
 	rm pyproject.toml.before
 
 notebooks: $(VENV)/.dev
