@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from jaxurban.checks import positive, typed, values_given
-from jaxurban.errors import InputError
+from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.city import City
 from jaxurban.io.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.io.rasterise import bands_of, check_has_data
@@ -36,7 +36,7 @@ from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import check_has_people
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
-from jaxurban.settings import Heights
+from jaxurban.settings import NOMINAL, Heights
 from jaxurban.world.grid import Grid, covering_grid
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import Surface
@@ -112,13 +112,21 @@ def build_maps(
 def _sections(city: City, metrics: MetricSettings) -> dict[str, Any]:
     """Return the settings of metrics by section, without those that are None.
 
-    ``gps`` and ``population`` are those of the city where none are given, if it was read with any.
+    ``gps`` and ``population`` are those of the city where none are given, if it was read with any. A warning says where
+    nominal satellites take the place of the city's.
 
     Raises:
       InputError: settings of people for a city without any.
     """
     check_has_people(metrics.get("population"), city.blocks is not None)
     own = {"gps": city.gps, "population": city.population}
+    gps = metrics.get("gps")
+    if gps and city.gps and gps.orbits == NOMINAL != city.gps.orbits:
+        warn(
+            "gps names no orbits, so nominal satellites take the place of those that the city was read with: to keep "
+            "these, write gps=dataclasses.replace(city.gps, ...) with what is to differ",
+            GuessWarning,
+        )
     return values_given(own) | values_given(metrics)
 
 
