@@ -37,7 +37,14 @@ from jaxurban.metrics.population import check_has_people
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
 from jaxurban.settings import NOMINAL, Heights
-from jaxurban.world.grid import Grid, covering_grid
+from jaxurban.world.grid import (
+    WGS84,
+    Grid,
+    check_bounds,
+    covering_grid,
+    transformer,
+    where_it_lies,
+)
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import Surface
 
@@ -160,9 +167,18 @@ def region_of(city: City, bounds: Sequence[float] | None, resolution_m: float) -
       bounds: west, south, east, north in degrees; None for the city's own or, where it has none, what its buildings
         cover.
       resolution_m: side of a cell.
+
+    Raises:
+      InputError: bounds that are no box, or that do not meet the city.
     """
     bounds = city.bounds if bounds is None else bounds
     if bounds is not None:
+        west, south, east, north = check_bounds(bounds)
+        of_city = transformer(city.crs, WGS84).transform_bounds(*city.known_extent_m)
+        if not shapely.intersects(shapely.box(west, south, east, north), shapely.box(*of_city)):
+            raise InputError(
+                f"the region and the city do not meet: {where_it_lies(of_city, bounds)}"
+            )
         return Grid.from_bounds(bounds, resolution_m, city.crs)
     return covering_grid(city.extent_m, resolution_m, city.crs)
 

@@ -100,7 +100,7 @@ class CostMap(FactsRepr):
         """Time and time of day of its maps, as arguments."""
         return {"time": self.time, "time_of_day": self.time_of_day}
 
-    @property
+    @cached_property
     def causes(self) -> np.ndarray:
         """``[Y, X]`` what closes each cell (`jaxurban.paths.closed.causes_at`), on one altitude."""
         return causes_at(self.maps, self.constraints, self.altitude_m, **self.when)

@@ -14,6 +14,7 @@ from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import BESIDE_M, SAME_EXPOSURE, SAME_PLACE_M
 from jaxurban.paths.clearance import closing_step_m
+from jaxurban.paths.closed import closed_facts
 from jaxurban.paths.ground import ground_along
 from jaxurban.paths.lines import line_of
 from jaxurban.paths.path import PlannedPath
@@ -218,6 +219,8 @@ def _note(cost_map: "CostMap", path: Path, ends: tuple[End, End]) -> str:
         notes.append(
             f"Constraints were on ({constraints}): they close {share:.1%} of the cells without an obstacle."
         )
+        if cost_map.levels is None:
+            notes.append(f"Closed are {closed_facts(cost_map.causes)['closed']}.")
     return " ".join(filter(None, [*notes, cost_map.note]))
 
 
