@@ -44,7 +44,7 @@ def public_names(
         Raises:
           AttributeError: the module has no such name.
         """
-        home = homes.get(name)
+        home = package if name == TYPES and "." not in package else homes.get(name)
         if name == "__version__" and "." not in package:
             return import_module("importlib.metadata").version(package)
         if home is None:

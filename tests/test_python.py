@@ -336,3 +336,11 @@ def test_unknown_arguments_of_methods_are_named_and_numbers_of_numpy_are_numbers
     pairs = ((START, GOAL) for _ in range(2))
     paths = ju.plan_many(MAPS, pairs, altitude_m=20.0, progress=False)
     assert [path.status.has_path for path in paths] == [True, True]
+
+
+def test_classes_that_functions_return_are_reached_without_an_import_of_their_own():
+    asked = "import jaxurban as ju; print(ju.typing.PlannedPath.__name__, 'typing' in dir(ju))"
+    found = subprocess.run(
+        [sys.executable, "-c", asked], capture_output=True, text=True, check=True
+    )
+    assert found.stdout == "PlannedPath False\n"

@@ -1,6 +1,5 @@
 """jaxurban maps."""
 
-from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -109,10 +108,13 @@ def maps_command(
         entries.append(entry)
 
     # What is printed: each warning once, and how each scenario ended.
-    counts = Counter(warning for entry in entries for warning in entry.get("warnings", ()))
-    for warning, num in counts.items():
-        of_all = f" ({num} of {len(entries)} scenarios)" if len(entries) > 1 else ""
-        LOG.warning(f"warning: {warning}{of_all}")
+    warned: dict[str, list[str]] = {}
+    for entry in entries:
+        for warning in entry.get("warnings", ()):
+            warned.setdefault(warning, []).append(Path(entry["folder"]).name)
+    for warning, names in warned.items():
+        of_which = f" ({', '.join(names)})" if len(entries) > 1 else ""
+        LOG.warning(f"warning: {warning}{of_which}")
     for entry in entries:
         folder, message = entry["folder"], entry["message"]
         done = f"maps finished: {folder} (run.json holds their settings and sources)"

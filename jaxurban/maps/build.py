@@ -171,14 +171,13 @@ def region_of(city: City, bounds: Sequence[float] | None, resolution_m: float) -
     Raises:
       InputError: bounds that are no box, or that do not meet the city.
     """
+    if bounds is not None:
+        of_city = transformer(city.crs, WGS84).transform_bounds(*city.known_extent_m)
+        if not shapely.box(*check_bounds(bounds)).intersects(shapely.box(*of_city)):
+            where = where_it_lies(of_city, bounds)
+            raise InputError(f"the region and the city do not meet: {where}")
     bounds = city.bounds if bounds is None else bounds
     if bounds is not None:
-        west, south, east, north = check_bounds(bounds)
-        of_city = transformer(city.crs, WGS84).transform_bounds(*city.known_extent_m)
-        if not shapely.intersects(shapely.box(west, south, east, north), shapely.box(*of_city)):
-            raise InputError(
-                f"the region and the city do not meet: {where_it_lies(of_city, bounds)}"
-            )
         return Grid.from_bounds(bounds, resolution_m, city.crs)
     return covering_grid(city.extent_m, resolution_m, city.crs)
 

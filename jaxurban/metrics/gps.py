@@ -152,7 +152,7 @@ class Gps:
         ends = self.times or ()
         if len(ends) != 2 or ends[1] < ends[0]:
             raise InputError(
-                f"step_s needs times of two, the first and the last of the series, got {list(ends)}"
+                f"step_s needs two times, first the beginning of the series and then its end, got {list(ends)}"
             )
         start, stop = map(parse_time, ends)
         num_steps = (stop - start).total_seconds() / step_s

@@ -2,7 +2,6 @@
 
 from functools import cache
 
-import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
@@ -81,31 +80,6 @@ def test_500_rows_are_seen_as_a_ray_at_a_time_through_the_outlines_says():
             )
         )
     assert np.mean(chosen.is_seen.to_numpy() == ~np.array(hidden)) > 0.98
-
-
-def test_a_city_that_ends_in_the_middle_of_the_track_is_judged_where_it_is_known(tmp_path):
-    middle = float(table().lon_deg.min() + table().lon_deg.max()) / 2
-    roofs = gpd.read_parquet(located(SAMPLE))
-    west = roofs[roofs.bounds.maxx <= middle]
-    west.to_parquet(tmp_path / "west.parquet")
-    known = shapely.box(*roofs.total_bounds) & shapely.box(0, 0, middle, 90)
-    gpd.GeoDataFrame(geometry=[known], crs=4326).to_file(tmp_path / "known.geojson")
-    bounds = list(scenario().region.bounds)
-    settings = {"region": {"bounds": bounds, "resolution_m": 2.0}, "gps": {"mask_deg": 10.0}}
-    of_west = ju.Scenario.from_dict(
-        {**settings, "buildings": {"source": str(tmp_path / "west.parquet")}}
-    )
-    guarded, open_all = (
-        few_displaced(table(), of_west, known=rule)
-        for rule in (str(tmp_path / "known.geojson"), "all")
-    )
-    assert guarded.of.score().share < 0.6
-    assert guarded.of.score().auc > 0.87
-    assert open_all.of.score().share == 1.0
-    assert open_all.of.score().auc < 0.83
-    assert open_all.verdict.startswith("It is not shown")
-    assert "judged as if nothing stood beyond" in repr(open_all.of)
-    assert "not judged: their rays leave" in repr(guarded.of)
 
 
 @pytest.mark.parametrize(("east_m", "north_m"), [(50, 0), (0, 50), (-50, 0), (0, -50)])

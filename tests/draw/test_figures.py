@@ -650,7 +650,7 @@ def all_figures(maps):
 @pytest.mark.slow
 def test_no_label_is_cut_and_no_two_overlap(rows, cols):
     for figure in all_figures(make_maps(rows, cols, has_all_data=False)):
-        assert figure.get_figheight() < 11
+        assert figure.get_figheight() < 11.5
         assert len(assert_legible(figure)) > 10
         assert min(text.get_size() for text in drawn_texts(figure)) >= 6
 

@@ -155,7 +155,7 @@ def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps,
         *options_of(maps, start, goal),
         "--snap",
         "--rules",
-        "cost_model=cell,clearance_m=4",
+        "clearance_m=4",
     )
     plan, line = tmp_path / "path.plan", tmp_path / "path.geojson"
     files = ("-o", plan, "-o", line, "-o", tmp_path / "path.gpx")

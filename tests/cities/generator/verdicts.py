@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import jaxurban as ju
+from jaxurban.settings import CLEARANCES
 
 CELL_M, ALTITUDES_M = 20.0, (1.0, 260.0)
 LIDAR = ju.Lidar(beams=1, azimuths=8, range_m=20.0)  # the least
@@ -49,7 +50,11 @@ def verdicts_of(
 
 
 def _verdict_of(maps: ju.MetricMaps, city: ju.City, file: str, options: Any) -> Verdict:
-    result = ju.check(maps, file, heights="ground", sources=city, **options)
+    rules = {name: options.pop(name) for name in CLEARANCES}
+    constraints = ju.Constraints.read(**rules)
+    result = ju.check(
+        maps, file, heights="ground", sources=city, constraints=constraints, **options
+    )
     found = result.findings
     words = "; ".join([*found["what"], *result.not_judged])
     return Verdict(result.state, tuple(zip(found["lon"], found["lat"], strict=True)), words)

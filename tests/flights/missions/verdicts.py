@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import jaxurban as ju
+from jaxurban.settings import CLEARANCES
 
 PLACE = ["lon", "lat", "height_m"]
 
@@ -36,7 +37,9 @@ class Verdict:
 def verdict_of(maps: ju.MetricMaps, file: str | Path, options: Mapping[str, Any]) -> Verdict:
     """Return what a check of a mission's file over maps says."""
     try:
-        result = ju.check(maps, file, **options)
+        rules = {name: options[name] for name in CLEARANCES if name in options}
+        others = {name: value for name, value in options.items() if name not in rules}
+        result = ju.check(maps, file, constraints=ju.Constraints.read(**rules), **others)
     except ju.InputError as error:
         return Verdict("refused", words=str(error))
     except Exception as error:  # of any kind: none may leave a check
