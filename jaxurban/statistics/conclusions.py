@@ -178,7 +178,13 @@ def runs_needed(size: float, low: float, high: float, n: int) -> float:
 
 
 def concluded(
-    verdicts: Sequence[Verdict], *, more: str, done: str, wider: str = "", factor: float = 1.0
+    verdicts: Sequence[Verdict],
+    *,
+    more: str,
+    done: str,
+    wider: str = "",
+    factor: float = 1.0,
+    ran: int = 0,
 ) -> Conclusion:
     """Return a study's verdicts with the command that decides the next thing, or uses what is decided.
 
@@ -188,11 +194,13 @@ def concluded(
       done: where nothing is left that a study of this kind decides.
       wider: of maps of wider bounds, where only they would decide.
       factor: how many runs the command makes for each one that counts.
+      ran: how many the study has; the command asks for more, also where few of them count for a verdict.
     """
     command = done
     if any(each.kind is SharedVerdict.BORDER for each in verdicts):
         command = wider
     needed = [each.needed for each in verdicts if 0 < each.needed < math.inf]
     if needed:
-        command = more.replace("{needed}", str(math.ceil(factor * min(needed))))
+        num = max(ran + 1, math.ceil(factor * min(needed)))
+        command = more.replace("{needed}", str(num))
     return Conclusion(tuple(verdicts), command)

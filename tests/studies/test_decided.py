@@ -167,6 +167,13 @@ def test_a_conclusion_has_three_lines_and_plain_records():
     }
 
 
+def test_the_next_study_is_longer_than_the_one_that_ran():
+    """Of 10 instances 9 are joined, and 7 of them are solved by both planners."""
+    tied = Verdict(SharedVerdict.TIED, ("a", "b"), 1.0, n=7, needed=8.0, facts={"measure": "cost"})
+    conclusion = concluded([tied], more="run {needed}", done="done", factor=10 / 9, ran=10)
+    assert conclusion.next_command == "run 11"
+
+
 def test_of_two_that_cannot_be_told_apart_the_better_one_on_common_runs_stands_first():
     """Astar alone solved the two long pairs, so its own mean is the greater one."""
     values = pd.DataFrame({"ptp": [10.0, 11.0] + [np.nan] * 10, "astar": [9.0, 10.0] + [50.0] * 10})

@@ -212,10 +212,12 @@ def conclusion(
     first = instances.iloc[0]
     ends = ends_option(maps.grid, first[[*IN_METRES]].to_numpy(float).reshape(2, 2))
     folder = maps.folder or "DIR"
+    num_instances = table.instance.nunique()
     return concluded(
         verdicts,
         more=f"jaxurban study {scenario} -o {folder} --set study.instances={{needed}}",
         wider=f'jaxurban study {scenario} -o {folder}-wider --set "region.bounds={wider_bounds(maps.grid)}"',
         done=f"jaxurban plan {folder} {ends} --altitude {first.altitude_m:g} --planner {planner}",
-        factor=table.instance.nunique() / max(num_joined, 1),
+        factor=num_instances / max(num_joined, 1),
+        ran=num_instances,
     )
