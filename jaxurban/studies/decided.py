@@ -68,12 +68,14 @@ class Measure(NamedTuple):
       unit: of the differences; those of ratios are in %.
       is_ratio: values are positive, and compared by their ratio.
       is_better_high: more is better.
+      largest: the largest difference that can be, in the unit, beyond which no interval goes.
     """
 
     values: pd.DataFrame
     unit: str = "%"
     is_ratio: bool = False
     is_better_high: bool = False
+    largest: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +200,8 @@ def ranked(measures: Mapping[str, Measure], clusters: Clusters) -> dict[str, Ran
         pairs = table[table.measure == name].drop(columns="measure")
         if measure.is_ratio:
             pairs[["size", "low", "high"]] = 100 * np.expm1(pairs[["size", "low", "high"]])
+        ends = pairs[["low", "high"]].clip(-measure.largest, measure.largest)
+        pairs[["low", "high"]] = ends
         names = tuple(map(str, columns[name]))
         result[name] = Ranking(name, names, equal[name], pairs, measure.unit, clusters.num_groups)
     return result

@@ -167,6 +167,24 @@ def test_a_conclusion_has_three_lines_and_plain_records():
     }
 
 
+def test_no_interval_of_shares_goes_beyond_what_can_be():
+    solved = np.where(np.arange(12) < 9, 100.0, 0.0)
+    values = pd.DataFrame({"astar": np.full(12, 100.0), "rrt": 100.0 - solved})
+    clusters = Clusters(np.arange(12))
+    of_shares = {}
+    for largest in (math.inf, 100.0):
+        measure = Measure(values, "percentage points", is_better_high=True, largest=largest)
+        ranking = ranked({"solved": measure}, clusters)["solved"]
+        of_shares[largest] = ranking
+    assert of_shares[math.inf].pairs.high.item() > 100
+    ranking = of_shares[100.0]
+    assert ranking.pairs["size"].item() == 75
+    assert ranking.pairs.high.item() == ranking.table.behind_high.max() == 100
+    (verdict,) = ranking.verdicts(Kind.MORE, "instances")
+    assert verdict.sentence.startswith("rrt costs 75 percentage points (")
+    assert " to 100) more" in verdict.sentence
+
+
 def test_the_next_study_is_longer_than_the_one_that_ran():
     """Of 10 instances 9 are joined, and 7 of them are solved by both planners."""
     tied = Verdict(SharedVerdict.TIED, ("a", "b"), 1.0, n=7, needed=8.0, facts={"measure": "cost"})

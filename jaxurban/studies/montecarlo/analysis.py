@@ -176,7 +176,7 @@ def rankings(table: pd.DataFrame) -> dict[str, Ranking]:
     percent = 100.0 * rows.has_path.unstack("planner").astype(float)
     measures = {
         "cost": Measure(costs, is_ratio=True),
-        "pairs solved": Measure(percent, "percentage points", is_better_high=True),
+        "pairs solved": Measure(percent, "percentage points", is_better_high=True, largest=100.0),
     }
     return ranked(measures, Clusters(costs.index.get_level_values("instance")))
 
