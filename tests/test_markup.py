@@ -193,6 +193,9 @@ def test_what_a_template_is_filled_with_is_text_unless_it_is_markdown():
         check_markdown_harmless(part)
     assert table(["a"], [[HOSTILE]]).count("|") == 6
     assert plain("m_gps, 2 > 1 and [0, 1]") == "m_gps, 2 > 1 and [0, 1]"
+    command = 'jaxurban tune DIR --wish "people <= 0.5" --wish "detour<=0.1"'
+    assert code(command) == f"`{command}`"
+    assert plain("<=<b> < </b><") == "<=&lt;b> < &lt;/b>&lt;"
     assert table(["a"], [[bullets(["`b`"])]]).splitlines()[2] == "| - 'b' |"
 
 

@@ -30,8 +30,9 @@ Output = str | pd.DataFrame | Callable[..., Any]
 Outputs = dict[str, Output]  # by file name
 Figures = dict[str, Callable[[], Figure]]  # functions that draw pictures, by the pictures' names
 Look = dict[str, Any]  # keywords of Matplotlib for the look of what is drawn
-# What a text of a file would do in Markdown, and what it becomes: HTML, columns, code, and links and pictures.
-HARMLESS = {"<": "&lt;", "|": "&#124;", "`": "'", "](": "]&#40;"}
+# What a text of a file would do in Markdown (patterns), and what it becomes: HTML, columns, code, and links and
+# pictures. No HTML begins with "<=" or "< ", which stay as they are, as code shows every letter.
+HARMLESS = {r"<(?![= ])": "&lt;", r"\|": "&#124;", "`": "'", r"\]\(": "]&#40;"}
 
 
 class Markdown(str):
@@ -44,7 +45,7 @@ def plain(text: str) -> Markdown:
         return text
     text = " ".join(text.split())
     for mark, harmless in HARMLESS.items():
-        text = text.replace(mark, harmless)
+        text = re.sub(mark, harmless, text)
     return Markdown(text)
 
 
