@@ -1,5 +1,6 @@
 """Weights fitted to routes and to targets: hidden weights come back, fits are tested, and what cannot be is said."""
 
+import re
 import tracemalloc
 from dataclasses import replace
 
@@ -333,6 +334,15 @@ def test_the_next_fit_to_a_wish_names_the_altitude_of_its_routes_only_where_all_
         decided = wish_conclusion(tested, targets, 0, queries, HIDDEN)
         assert "jaxurban tune" in decided.next_command
         assert ("--altitude 20 " in decided.next_command) == named
+
+
+def test_the_next_fit_to_a_wish_writes_to_a_folder_of_its_own(small):
+    queries = made_queries(ju.cost_map(small, 20.0), 3)
+    targets = [Target.parse("mean_gps>=0.99")]
+    tested = outcomes_of(queries, targets, np.tile(VECTOR, (2, 1)))
+    command = wish_conclusion(tested, targets, 0, queries, HIDDEN).next_command
+    (num,) = re.findall(r"--sample (\d+) ", command)
+    assert command.endswith(f"-wish-{num}")
 
 
 @pytest.mark.slow

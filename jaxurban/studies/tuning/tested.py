@@ -173,10 +173,12 @@ def wish_conclusion(
     wishes = " ".join(f'--wish "{target}"' for target in targets)
     metrics = ",".join(cost_map.names)
     folder = cost_map.maps.folder or "DIR"
+    # A folder of its own for each number of routes, as one that holds another fit is refused.
+    output = f"{folder}-wish-{{needed}}"
     return concluded(
         [*met, *verdicts],
         more=f"jaxurban tune {folder} --sample {{needed}} {wishes} --metrics {metrics} "
-        f"{altitude}-o {folder}-wish",
+        f"{altitude}-o {output}",
         factor=len(queries) / (num_held_out or len(queries)),
         done=command_to_plan(queries[0], weights),
     )
