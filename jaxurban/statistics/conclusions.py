@@ -137,7 +137,7 @@ def sized(value: float, low: float, high: float, unit: str = "") -> str:
     """Return a number with its unit and its interval, as ``1.3 % (0.9 to 1.7)``.
 
     Its last digit is that of the second figure of the interval's half-width, so that no digit says what is not known;
-    without an interval it has three figures.
+    without an interval it has three figures. An end that is not 0, but would read so, has one figure.
 
     Args:
       value, low, high: in the unit; NaN ends where there is no interval.
@@ -146,9 +146,20 @@ def sized(value: float, low: float, high: float, unit: str = "") -> str:
     half = (high - low) / 2
     scale = half / 10 if half > SAME else abs(value) / 100
     decimals = max(0, -math.floor(math.log10(scale))) if scale > SAME else 0
-    numbers = [f"{round(each, decimals) + 0.0:,.{decimals}f}" for each in (value, low, high)]
-    text = f"{numbers[0]} {unit}".strip()
-    return text if math.isnan(half) else f"{text} ({numbers[1]} to {numbers[2]})"
+    text = f"{_rounded(value, decimals)} {unit}".strip()
+    if math.isnan(half):
+        return text
+    ends = []
+    for end in (low, high):
+        first_figure = -math.floor(math.log10(max(abs(end), SAME)))
+        reads_as_0 = abs(end) > SAME and round(end, decimals) == 0
+        ends.append(_rounded(end, first_figure if reads_as_0 else decimals))
+    return f"{text} ({' to '.join(ends)})"
+
+
+def _rounded(value: float, decimals: int) -> str:
+    """Return a number with so many decimals, and 0 without a sign."""
+    return f"{round(value, decimals) + 0.0:,.{decimals}f}"
 
 
 def singular(noun: str) -> str:
