@@ -156,6 +156,19 @@ class StudyVerdict(Enum):
 
     COSTS_MORE = "{last} costs {size} more than {first} where both find a path ({n})"
     FINDS_LESS = "{last} finds a path for {size} fewer of the joined pairs than {first} ({n})"
+    COST_TIED = (
+        "{what} cannot be told apart in {measure} ({last} costs {size} more than {first}, {n})"
+    )
+    FINDS_TIED = (
+        "{what} cannot be told apart in {measure} "
+        "({last} finds a path for {size} fewer than {first}, {n})"
+    )
+
+
+KINDS = {  # of each measure, where two planners differ and where they cannot be told apart
+    "cost": (StudyVerdict.COSTS_MORE, StudyVerdict.COST_TIED),
+    "pairs solved": (StudyVerdict.FINDS_LESS, StudyVerdict.FINDS_TIED),
+}
 
 
 def rankings(table: pd.DataFrame) -> dict[str, Ranking]:
@@ -201,8 +214,9 @@ def conclusion(
     """
     verdicts: list[Verdict] = []
     rankings_of = rankings(table)
-    for kind, ranking in zip(StudyVerdict, rankings_of.values(), strict=False):
-        verdicts += ranking.verdicts(kind, "instances")
+    for measure, ranking in rankings_of.items():
+        before, tied = KINDS[measure]
+        verdicts += ranking.verdicts(before, "instances", tied)
     num_joined = max((ranking.n for ranking in rankings_of.values()), default=0)
     best = best_rows(table)
     verdicts += border_verdict(best.at_edge.to_numpy() == 1)
