@@ -116,6 +116,15 @@ def test_planners_are_ranked_by_cost_where_both_found_a_path_and_by_the_pairs_th
     assert f") fewer than {CHEAP}, " in undecided
 
 
+def test_of_one_planner_there_is_nothing_to_compare(table):
+    place = dict.fromkeys(IN_METRES, 5.0) | {"altitude_m": 20.0}
+    alone = table[table.planner == CHEAP].assign(at_edge=0.0)
+    given = pd.DataFrame([place]), made_maps(10, 10), "city.toml"
+    lines = analysis.conclusion(alone, *given).facts
+    assert lines["not decided"] == (f"there is nothing to compare, as {CHEAP} is the only planner.")
+    assert lines["next"].startswith("jaxurban plan ")
+
+
 def test_shortest_paths_are_set_against_the_cheapest(table):
     (found,) = analysis.objectives(table).to_dict("records")
     assert (found["planner"], found["pairs"]) == (CHEAP, 10)

@@ -4,6 +4,7 @@ All take the rows joined with their instances (`with_instances`). A path's *rati
 that any planner found for the same instance at the same altitude, under the benchmark's cost model.
 """
 
+import math
 from enum import Enum
 from typing import Any
 
@@ -163,6 +164,7 @@ class StudyVerdict(Enum):
         "{what} cannot be told apart in {measure} "
         "({last} finds a path for {size} fewer than {first}, {n})"
     )
+    ALONE = "there is nothing to compare, as {first} is the only planner"
 
 
 KINDS = {  # of each measure, where two planners differ and where they cannot be told apart
@@ -217,6 +219,9 @@ def conclusion(
     for measure, ranking in rankings_of.items():
         before, tied = KINDS[measure]
         verdicts += ranking.verdicts(before, "instances", tied)
+    planners = table.planner.unique()
+    if len(planners) == 1:
+        verdicts.append(Verdict(StudyVerdict.ALONE, (str(planners[0]),), needed=math.nan))
     num_joined = max((ranking.n for ranking in rankings_of.values()), default=0)
     best = best_rows(table)
     verdicts += border_verdict(best.at_edge.to_numpy() == 1)
