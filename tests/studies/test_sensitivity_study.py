@@ -192,7 +192,7 @@ def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_pop
     maps = {**weight_study.maps, "alpha": alpha}
     report = sensitivity_report(replace(weight_study, is_sampled=False, maps=maps)).text
     assert "drawn by stratum" not in report
-    assert "those of the table that was given" in report
+    assert "those that were given" in report
     alpha, beta = report.split("\n\n")[2].splitlines()[2:]
     assert alpha.endswith("| 50,000 (day), 30,000 (night) |")
     assert beta.endswith("|  |")

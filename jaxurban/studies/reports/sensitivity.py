@@ -61,7 +61,7 @@ SAMPLED = (
     "anyone flies: means are over such routes, not over traffic."
 )
 GIVEN = (
-    "The routes are those of the table that was given: "
+    "The routes are those that were given: "
     "means are over them, each once, and say nothing about others."
 )
 MOST_REASONS = 3
