@@ -306,6 +306,8 @@ def test_targets_are_met_where_brute_force_meets_them_and_missed_where_it_does_n
     assert fit.sentence == (
         "All targets are met on the average of the routes that the weights were fitted to."
     )
+    kept = replace(fit, tested=fit.tested.assign(without_wish=1.0))
+    assert kept.sentence.startswith("All targets are met without the wish: keep the weights")
     assert not fit.is_held_out.any()  # of so few
     assert not any(verdict.is_decided for verdict in fit.decided.verdicts)
     weights = np.array([[fit.weights[name] for name in fit.names]])

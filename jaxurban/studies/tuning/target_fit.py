@@ -102,6 +102,14 @@ class TargetFit:
     @property
     def sentence(self) -> str:
         """Whether all targets are met; if not, which are missed, and whether the budget ran out."""
+        sign = np.array([target.sign for target in self.targets])
+        bound = np.array([target.value for target in self.targets])
+        without = self.tested.without_wish.to_numpy()[: len(bound)]
+        if np.all(sign * (without - bound) >= 0):
+            return (
+                "All targets are met without the wish: keep the weights as they are, "
+                "not those that were fitted."
+            )
         if self.is_met and len(self.curve) == 1:
             return (
                 "The first weights that were tried meet all targets on average: nothing was fitted."
