@@ -313,7 +313,9 @@ def test_a_click_on_a_finding_chooses_it_and_a_planned_route_keeps_its_altitude(
         for shift in (-60, 60):
             page.mouse.click(middle[0] + shift, middle[1])
         until(page, lambda: page.locator(".jv-route").count() == 1)
+        until(page, lambda: page.locator('[data-is="report"]').is_visible())
         page.click('[data-tab="check"]')
+        assert not page.locator('[data-is="report"]').is_visible()  # it is of another route
         buttons.nth(0).click()
         page.wait_for_timeout(300)
         assert page.input_value('[name="flight_m"]') == "60"
