@@ -40,7 +40,8 @@ function missionsOf({ root, is, field, scene, ask, latest, tell, draw, view, rul
     const buttons = [...is('findings').children], button = buttons[chosen = clamp(k, 0, buttons.length - 1)];
     if (!button) return;
     for (const each of buttons) each.ariaPressed = each === button;
-    if (isOnMap) tell(button.textContent); else button.focus();
+    tell(isOnMap ? button.textContent : ''); // where the button takes the focus, that says it
+    if (!isOnMap) button.focus();
     showLevel(check.heights[chosen]);
     view.show(...check.places[chosen], Math.min(view.scale, 1));
   };
