@@ -121,7 +121,7 @@ def findings(result: MissionCheck) -> str:
     rows = result.findings[["kind", "by_m"]].itertuples(index=False)
     for number, ((kind, by_m), text) in enumerate(zip(rows, result.sentences, strict=True), 1):
         depth = "" if np.isnan(by_m) else f", by {by_m:.1f} m"
-        html += f"<button><b>{number} {kind}{depth}</b>{escape(text)}</button>"
+        html += f"<button><b>{number} {kind}{depth}: </b>{escape(text)}</button>"
     return html
 
 

@@ -249,7 +249,7 @@ def test_a_mission_is_opened_its_findings_are_listed_and_each_one_moves_the_map(
             page.keyboard.press(key)
             said = page.locator('[data-is="tell"][role="status"]').inner_text()
             assert said.startswith(f"{number} building, by ")
-            assert expected.sentences[number - 1] in said
+            assert f" m: {expected.sentences[number - 1]}" in said
         buttons.nth(0).click()
         assert text_of(page, "tell") == ""  # else it would go on about another finding
 
