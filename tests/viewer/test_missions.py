@@ -271,6 +271,8 @@ def test_another_file_takes_the_place_of_the_first_and_close_leaves_none(browser
             drop(page, files[state])
             until(page, lambda words=words: words in text_of(page, "state"))
             assert text_of(page, "mission") == files[state].name
+            ink = page.locator('[data-is="state"]').evaluate("each => getComputedStyle(each).color")
+            assert (ink == "rgb(176, 0, 32)") == (state == "broken")  # the colour of limits
             assert page.locator('[data-is="findings"] button').count() == 0
 
         # What it is judged by changes: it is judged again, and not where that does not count.

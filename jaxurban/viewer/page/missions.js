@@ -11,6 +11,7 @@ function missionsOf({ root, is, field, scene, ask, latest, tell, draw, view, rul
   const put = answer => {
     if (chosen >= 0) tell(''); // of a finding that is gone
     [check, chosen] = [answer, -1];
+    is('state').className = '';
     for (const name of texts) is(name).innerHTML = check?.[name] ?? '';
     if (check?.lines.length) fitTo(() => check?.lines.flat() ?? []);
     draw();
@@ -30,7 +31,7 @@ function missionsOf({ root, is, field, scene, ask, latest, tell, draw, view, rul
       if (file.size > scene.most_bytes) throw new Error(`${file.name} has more than ${scene.most_bytes >> 20} MiB.`);
       put(await ask('check', { ...limits, file: file.name, data: await base64Of(file) }));
     } catch (error) {
-      is('state').textContent = error.message;
+      Object.assign(is('state'), { className: 'jv-limit', textContent: error.message });
       if (error.isOld) throw error;
     } finally {
       reveal(is('mission'));
