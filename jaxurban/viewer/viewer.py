@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from uuid import uuid4
 
 import numpy as np
+import pandas as pd
 
 from jaxurban.checks import one_of
 from jaxurban.draw.frame import guesses_said, place_said, rules_said, time_said
@@ -448,7 +449,8 @@ class Viewer:
         Returns:
           As HTML ``state``, a sentence, ``findings``, a button each, ``not-judged`` and ``figures``. In metres
           ``lines``, ``[N, 2, 2]`` the straight parts over the maps, ``places``, ``[F, 2]`` of the findings, and
-          ``heights``, ``[F]`` theirs above the ground, None where that is not known.
+          ``heights``, ``[F]`` theirs above the ground, None where that is not known, and ``cruise_m``, the median
+          height above the ground without climbs and landings, None where none is known.
 
         Raises:
           InputError: a name that is not that of a file alone, or as for `jaxurban.check`.
@@ -469,6 +471,8 @@ class Viewer:
         figures = [f"return: {text}" for text in result.return_lines]
         figures += [f"{name}: {fact}" for name, fact in facts.items() if fact]
         found = result.findings
+        steps = result.flight.steps
+        cruise_m = pd.Series(steps.z_m[~result.flight.is_on_site(steps), 0]).median()
         return {
             "state": sentences([state]),
             "findings": markup.findings(result),
@@ -477,6 +481,7 @@ class Viewer:
             "lines": np.round(result.flight.lines_m - self.maps.grid.bounds_m[:2], 1),
             "places": self._on_page(found[["lon", "lat"]].to_numpy(float)),
             "heights": [*map(number_or_none, found["height_m"])],
+            "cruise_m": number_or_none(cruise_m),
         }
 
     def sky(self, query: SkyRequest) -> str:

@@ -13,6 +13,7 @@ function missionsOf({ root, is, field, scene, ask, latest, tell, draw, view, rul
     [check, chosen] = [answer, -1];
     is('state').className = '';
     for (const name of texts) is(name).innerHTML = check?.[name] ?? '';
+    if (check) showLevel(check.cruise_m);
     if (check?.lines.length) fitTo(() => check?.lines.flat() ?? []);
     draw();
   };
