@@ -278,7 +278,7 @@ def test_another_file_takes_the_place_of_the_first_and_close_leaves_none(browser
         # The map shows the level of its flight.
         drop(page, files["clean"])
         until(page, lambda: page.input_value('[name="flight_m"]') == "60")
-        assert text_of(page, "drawn") == "The map shows what stands in the way at 60 m."
+        assert text_of(page, "drawn") == "The map shows the level of 60 m."
 
         # What it is judged by changes: it is judged again, and not where that does not count.
         drop(page, files["clean"])

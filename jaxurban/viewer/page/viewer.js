@@ -456,7 +456,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const flight = +field('flight_m').value, index = scene.altitudes_m.findLastIndex(level => level <= flight);
     if (index >= 0) field('altitude').value = index;
     const level = scene.altitudes_m[index] ?? flight, isBetween = level < flight && flight < scene.altitudes_m.at(-1);
-    is('drawn').textContent = index < 0 ? '' : `The map shows what stands in the way at ${level} m.`;
+    is('drawn').textContent = index < 0 ? '' : `The map shows the level of ${level} m.`;
     is('between').textContent = !isBetween ? '' : `Between two levels: the map shows that of ${level} m.`;
   };
   for (const each of all('select, input:not([type="range"], [type="file"])')) each.onchange = () => {
