@@ -34,8 +34,8 @@ NO_ZERO = {  # where the zero of a datum is not known
     "home": "have heights above home, whose place or elevation is not known: name it (home, --home), or "
     "make the maps with a terrain",
     "geoid": "have heights above the geoid, and neither the maps nor the file say how high the ground is above it",
-    "ellipsoid": "have heights above the ellipsoid: name the geoid's height above it (geoid_m, in --heights; 37 m in "
-    "Tokyo)",
+    "ellipsoid": "have heights above the ellipsoid: name the geoid's height above it (geoid_m, "
+    "--heights geoid_m=METRES; 37 m in Tokyo)",
     "ground": "begin or end above ground that the maps do not hold",
 }
 

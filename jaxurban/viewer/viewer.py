@@ -87,6 +87,8 @@ TOTALS = (  # of `RouteReport.facts`; the costs of layers stand below these, and
 )
 
 
+# In brackets: an option of the command, behind its argument or alone; the page has no field for it.
+OF_COMMAND = re.compile(r"\((?:\w+, )?(?=--)")
 STATE_LEVELS = {"clean": "note", "findings": "limit", "not-judged": "guess"}  # as of cautions
 
 
@@ -476,7 +478,10 @@ class Viewer:
         return {
             "state": sentences([state]),
             "findings": markup.findings(result),
-            "not-judged": sentences(("guess", f"Not judged: {text}") for text in result.not_judged),
+            "not-judged": sentences(
+                ("guess", OF_COMMAND.sub("(with jaxurban check DIR FILE ", f"Not judged: {text}"))
+                for text in result.not_judged
+            ),
             "figures": sentences(("note", text) for text in figures),
             "lines": np.round(result.flight.lines_m - self.maps.grid.bounds_m[:2], 1),
             "places": self._on_page(found[["lon", "lat"]].to_numpy(float)),

@@ -116,6 +116,18 @@ def test_a_mission_is_judged_under_the_clearances_and_the_zones_of_the_page(file
     assert "no-fly zones: 1 of 1 in force" in shown["figures"]
 
 
+@pytest.mark.parametrize(
+    ("heights", "remedy"),
+    [
+        ("home", "name it (with jaxurban check DIR FILE --home)"),
+        ("ellipsoid", "(with jaxurban check DIR FILE --heights geoid_m=METRES; 37 m in Tokyo)"),
+    ],
+)
+def test_what_the_page_has_no_field_for_is_named_with_its_command(files, heights, remedy):
+    shown = answer(Viewer(MAPS), "check", **mission(files["findings"], heights=heights))
+    assert remedy in shown["not-judged"]
+
+
 def test_a_file_that_is_none_is_refused_in_a_sentence_and_no_file_is_left_or_read(
     files, tmp_path, monkeypatch
 ):
