@@ -546,7 +546,7 @@ TABLE: dict[str, dict[str, Any]] = {
     "Weights.parse": {"base": ju.Weights(risk=5.0)},
     "build_maps": SECTIONS
     | {
-        "bounds": (-74.0, 40.755, -73.999, 40.756),
+        "bounds": (-73.972, 40.779, -73.971, 40.780),
         "grid": Case(lambda: on.made_grid(), {"bounds": BOX}, refused="either bounds or grid"),
         "resolution_m": 40.0,
         "altitudes_m": (60.0,),
