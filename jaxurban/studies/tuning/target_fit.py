@@ -106,10 +106,7 @@ class TargetFit:
         bound = np.array([target.value for target in self.targets])
         without = self.tested.without_wish.to_numpy()[: len(bound)]
         if np.all(sign * (without - bound) >= 0):
-            return (
-                "All targets are met without the wish: keep the weights as they are, "
-                "not those that were fitted."
-            )
+            return "All targets are met without the wish: keep the weights as they are."
         if self.is_met and len(self.curve) == 1:
             return (
                 "The first weights that were tried meet all targets on average: nothing was fitted."
@@ -163,7 +160,7 @@ def fit_targets(
       >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
       >>> fit = ju.fit.fit_targets(queries, ["detour<=0.2"], settings=ju.fit.FitSettings(max_rounds=2))
       >>> fit.sentence
-      'The first weights that were tried meet all targets on average: nothing was fitted.'
+      'All targets are met without the wish: keep the weights as they are.'
       >>> fit.outcomes[["wished", "shortest", "is_met"]]
                      wished  shortest  is_met
       wish
