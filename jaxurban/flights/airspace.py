@@ -14,7 +14,6 @@ above the ellipsoid, and cut a ceiling of 36.5 m to 36.
 import json
 import math
 import re
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -29,6 +28,7 @@ from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
 from jaxurban.flights.missions.parts import GEOD
 from jaxurban.io.broken import BROKEN
+from jaxurban.io.sniff import unpacked
 from jaxurban.io.tables import is_blank
 from jaxurban.io.zone import TURN, Zone, made_valid
 
@@ -80,28 +80,39 @@ CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wide
 WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
 MOST_M = 300_000.0  # radius of a circle whose edges are as good as straight in degrees
 MOST_NAMED = 3
-NO_LIMITS = (
-    "have limits that are not metres or feet above ground, and reach on to every altitude there"
-)
-NO_HOURS = (
-    "have days or hours, which are not read, and are closed from their first to their last time"
-)
-ALL_AROUND = (
-    "have edges of more than 180 degrees of longitude, and are closed all around the Earth (cut them at the "
-    "antimeridian)"
+NOWHERE = shapely.Polygon()
+# What is true of a zone, and what is said of it as it is read.
+REMARKS = {
+    "no_area": "are points, lines, collections or empty, so that what they close is not known (draw them as polygons)",
+    "not_read": "are not read, so that what they close is not known (write each as a feature of its own)",
+    "no_restriction": "restrict nothing, and are left out",
+    "on_approval": "need an authorisation or hold on conditions, and are closed",
+    "limits": "have limits in a unit or above a zero that is not read, and reach on to every altitude there "
+    "(give metres above ground)",
+    "hours": "have days or hours, which are not read, and are closed from their first to their last time",
+    "times": "have times that cannot be read, and are taken to be in force always",
+    "crossing": "have outlines that cross themselves, and close all that these enclose",
+    "all_around": "have edges of more than 180 degrees of longitude, and are closed all around the Earth (cut them at "
+    "the antimeridian)",
+}
+# One for each feature of GeoJSON or KML; GDAL passes over one that is not where it belongs, or in another file.
+FEATURE = re.compile(
+    rb'"type"\s*:\s*"Feature"|<(?:[\w.-]+:)?(?:Placemark|GroundOverlay|NetworkLink)\b'
 )
 Json = Mapping[str, Any]
-Notes = dict[str, list[str]]  # names of zones, by the sentence that is true of them
+Remarks = list[str]  # of one zone, keys of `REMARKS`
 
 
 def read_zones(path: str | Path) -> tuple[Zone, ...]:
     """Return the no-fly zones of a file: GeoJSON, KML, GeoPackage, Shapefile, FlatGeobuf, GeoParquet; ED-269, ED-318.
 
-    Of a vector file every layer (every folder of a KML file) is read; features that are not polygons are left out with
-    a warning. Floor and ceiling are the properties named in `FLOOR_NAMES` and `CEILING_NAMES`, metres above ground;
-    where several are filled, the lowest floor and the highest ceiling count, and where all are empty, the zone has
-    none. Other properties that sound like heights are ignored with a warning, and so are all heights of a zone one of
-    whose properties names another unit or another zero than the ground. Heights of corners are not read.
+    Everything that the file holds is in them: a zone that is not closed is open, as the file says, or unknown.
+
+    Of a vector file every layer (every folder of a KML file) is read; what is no polygon is an unknown zone. Floor and
+    ceiling are the properties named in `FLOOR_NAMES` and `CEILING_NAMES`, metres above ground; where several are
+    filled, the lowest floor and the highest ceiling count, and where all are empty, the zone has none. Other properties
+    that sound like heights are ignored with a warning, and so are all heights of a zone one of whose properties names
+    another unit or another zero than the ground. Heights of corners are not read.
 
     Of ED-269 and ED-318 zones of every restriction but ``NO_RESTRICTION`` are closed; those that hold on conditions or
     until someone authorises a flight too, which a warning says. Circles become polygons around them. Limits above the
@@ -118,21 +129,17 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{str(path)!r} is a folder: name each file of no-fly zones in it")
-    notes: Notes = defaultdict(list)  # filled by the readers
     features = _geozones(path)
-    zones = (
-        _of_vector_file(path, notes)
-        if features is None
-        else _of_geozones(features, path.name, notes)
-    )
+    zones = _of_vector_file(path) if features is None else _of_geozones(features, path.name)
 
-    for sentence, names in notes.items():
-        labels = list(dict.fromkeys(map(repr, names)))
+    for remark, sentence in REMARKS.items():
+        labels = list(dict.fromkeys(repr(zone.name) for zone in zones if remark in zone.remarks))
         num = len(labels)
         if num > MOST_NAMED:
             labels[MOST_NAMED:] = ["..."]
-        _warn(f"zones of {path.name!r} that {sentence}: {num} ({', '.join(labels)})")
-    if not zones:
+        if num:
+            _warn(f"zones of {path.name!r} that {sentence}: {num} ({', '.join(labels)})")
+    if all(zone.state != "closed" for zone in zones):
         raise InputError(
             f"the {ROLE} file {str(path)!r} holds no polygons that restrict flights: give another file"
         )
@@ -144,48 +151,53 @@ def _warn(sentence: str) -> None:
     warn(sentence, IgnoredZoneWarning)
 
 
-def _of_vector_file(path: Path, notes: Notes) -> list[Zone]:
-    """Return the zones of a file that GDAL or pyarrow reads, one for each feature that holds polygons.
+def _of_vector_file(path: Path) -> list[Zone]:
+    """Return the zones of a file that GDAL or pyarrow reads: of each feature its polygons, and if there is more, that.
 
-    Args:
-      path: of the file.
-      notes: gets the names of zones whose outlines are closed otherwise than they are drawn, see `_whole`.
+    What GDAL passes over in silence is one unknown zone.
 
     Warns:
-      IgnoredZoneWarning: features that are not polygons, and properties of heights that are not read.
+      IgnoredZoneWarning: properties of heights that are not read.
 
     Raises:
       InputError: a file that cannot be read, or a zone with an invalid corner, floor or ceiling.
     """
     file = path.name
     zones: list[Zone] = []
-    num_others = 0
+    num_read = 0
     for frame in wings.open_layers(path, ROLE):
-        geometry = frame.geometry.name
-        num_others += sum(
-            shape is None or (shapely.get_dimensions(shapely.get_parts(shape)) != 2).any()
-            for shape in frame.geometry
-        )
-        areas = frame[shapely.get_dimensions(frame.geometry.to_numpy()) == 2]
-        _warn_of_ignored(areas.drop(columns=geometry), file)
+        crs = frame.crs.to_wkt()
+        properties = frame.drop(columns=frame.geometry.name)
+        _warn_of_ignored(properties, file)
 
-        # A zone for each row: its filled properties by plain name, its own name, outline and heights.
-        for row in areas.to_dict("records"):
-            shape = row.pop(geometry)
+        # Of each row: its filled properties by plain name, its own name, its shape and its heights.
+        for row, shape in zip(
+            properties.to_dict("records"), frame.geometry.to_numpy(), strict=True
+        ):
+            num_read += 1
             facts = {_plain(name): value for name, value in row.items() if not is_blank(value)}
             names = (str(facts[name]).strip() for name in NAME_NAMES if name in facts)
-            name = next(names, f"polygon {len(zones) + 1}")
+            name = next(names, f"feature {num_read}")
             if not np.isfinite(shapely.get_coordinates(shape)).all():
                 raise InputError(
                     f"the no-fly zone {name!r} of {file!r} has a corner that is not a number: mend it"
                 )
-            whole = _whole(shapely.force_2d(shape), name, notes, is_lonlat=areas.crs.is_geographic)
-            floor_m, ceiling_m = _heights(facts, f"{name!r} of {file!r}")
-            zones.append(Zone(name, whole, areas.crs.to_wkt(), floor_m, ceiling_m, file))
-    if zones and num_others:
-        _warn(
-            f"{num_others} feature(s) of {file!r} are not polygons and close nothing: draw them as polygons"
-        )
+            remarks: Remarks = []
+            limits_m = _heights(facts, f"{name!r} of {file!r}", remarks)
+            shape = shapely.force_2d(shape if shape else NOWHERE)
+            if shapely.get_dimensions(shape) == 2 and not shape.is_empty:
+                whole = _whole(shape, remarks, is_lonlat=frame.crs.is_geographic)
+                zones.append(Zone(name, whole, crs, *limits_m, file, remarks=tuple(remarks)))
+            if shape.is_empty or "Polygon" not in shape.geom_type:
+                zones.append(
+                    Zone(name, shape, crs, *limits_m, file, state="unknown", remarks=("no_area",))
+                )
+
+    with unpacked(path) as plain:
+        num_lost = len(FEATURE.findall(plain.read_bytes())) - num_read
+    if num_lost > 0:
+        name = f"{num_lost} more"
+        zones.append(Zone(name, NOWHERE, source=file, state="unknown", remarks=("not_read",)))
     return zones
 
 
@@ -194,15 +206,16 @@ def _plain(name: object) -> str:
     return re.sub(r"[_\-\s:.]", "", str(name)).lower()
 
 
-def _heights(facts: Json, label: str) -> tuple[float, float]:
+def _heights(facts: Json, label: str, remarks: Remarks) -> tuple[float, float]:
     """Return floor and ceiling of a polygon in metres above ground, infinite where it has none.
 
     Of several floors the lowest counts, of several ceilings the highest. Where a property names another unit or another
-    zero than the ground, both are infinite, and a warning says so.
+    zero than the ground, both are infinite.
 
     Args:
       facts: its filled properties by plain name.
       label: its name and file, for messages.
+      remarks: get that a property of a height is not read.
 
     Raises:
       InputError: a height that is not a number.
@@ -218,22 +231,17 @@ def _heights(facts: Json, label: str) -> tuple[float, float]:
     units = [str(value) for name, value in facts.items() if UNIT_NAME.search(name)]
     unread = [unit for unit in units if _plain(unit) not in UNITS_READ]
     if unread and (floors_m or ceilings_m):
-        _warn(
-            f"{label} has heights in {unread[0]!r}, so it is closed at all altitudes: give metres above ground"
-        )
+        remarks.append("limits")
         return -math.inf, math.inf
+    if any(map(_is_ignored, facts)):
+        remarks.append("other_limits")
     return min(floors_m, default=-math.inf), max(ceilings_m, default=math.inf)
 
 
 def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
     """Warn of properties of the zones of a file that sound like heights, are filled in some row and are not read."""
-    read = {*map(_plain, FLOOR_NAMES), *map(_plain, CEILING_NAMES)}
-    ignored = []
-    for column in properties:
-        name = _plain(column)
-        is_height = any(word in name for word in HEIGHT_WORDS) and not UNIT_NAME.search(name)
-        if is_height and name not in read and not all(map(is_blank, properties[column])):
-            ignored.append(repr(column))
+    filled = [name for name in properties if not all(map(is_blank, properties[name]))]
+    ignored = [repr(name) for name in filled if _is_ignored(_plain(name))]
     if ignored:
         _warn(
             f"{', '.join(ignored)} of {file!r} not read: floors and ceilings are {', '.join(FLOOR_NAMES)} "
@@ -241,13 +249,19 @@ def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
         )
 
 
-def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone]:
-    """Return the zones of a file of ED-269 or ED-318: one for each volume of each feature that restricts flights.
+def _is_ignored(name: str) -> bool:
+    """Return whether a property, by its plain name, sounds like a height and is not read."""
+    read = {*map(_plain, FLOOR_NAMES), *map(_plain, CEILING_NAMES)}
+    is_height = any(word in name for word in HEIGHT_WORDS) and not UNIT_NAME.search(name)
+    return is_height and name not in read
+
+
+def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:
+    """Return the zones of a file of ED-269 or ED-318: one for each volume of each feature, or for one that is open.
 
     Args:
       features: as JSON holds them.
       file: its name.
-      notes: gets the names of zones that are left out, or closed otherwise than the file may mean.
 
     Raises:
       InputError: an outline that cannot be read, or a limit that is not a number.
@@ -258,11 +272,12 @@ def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone
         name = _name(facts, number)
         restriction = str(facts.get("restriction", facts.get("type", ""))).upper()
         if restriction == OPEN:
-            notes["restrict nothing, and are left out"].append(name)
+            zones.append(
+                Zone(name, NOWHERE, source=file, state="open", remarks=("no_restriction",))
+            )
             continue
-        if restriction in ON_APPROVAL:
-            notes["need an authorisation or hold on conditions, and are closed"].append(name)
-        start, end = _times(facts, name, notes)
+        of_feature: Remarks = ["on_approval"] if restriction in ON_APPROVAL else []
+        start, end = _times(facts, of_feature)
 
         # The volumes of the zone: limits and outline of each.
         label = f"{name!r} of {file!r}"
@@ -274,6 +289,8 @@ def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone
                 is_whole = geometry["type"] != "GeometryCollection"
                 parts = [geometry] if is_whole else geometry["geometries"]
                 shapes = [{"layer": None, **part} for part in parts]
+            if not shapes:
+                raise ValueError("it has no volume")
             volumes = [(shape["layer"] or {}, _outline(shape)) for shape in shapes]
         except BROKEN as error:
             is_said = isinstance(error, ValueError)
@@ -283,9 +300,11 @@ def _of_geozones(features: Sequence[Json], file: str, notes: Notes) -> list[Zone
             ) from error
 
         for layer, outline in volumes:
-            whole = _whole(outline, name, notes, is_lonlat=True)
-            floor_m, ceiling_m = _limits(layer, label, name, notes)
-            zones.append(Zone(name, whole, "EPSG:4326", floor_m, ceiling_m, file, start, end))
+            remarks = [*of_feature]
+            whole = _whole(outline, remarks, is_lonlat=True)
+            limits_m = _limits(layer, label, remarks)
+            true = tuple(dict.fromkeys(remarks))
+            zones.append(Zone(name, whole, "EPSG:4326", *limits_m, file, start, end, remarks=true))
     return zones
 
 
@@ -381,14 +400,13 @@ def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
     return shapely.Polygon(np.column_stack([around, lats]))
 
 
-def _limits(layer: Json, label: str, name: str, notes: Notes) -> tuple[float, float]:
+def _limits(layer: Json, label: str, remarks: Remarks) -> tuple[float, float]:
     """Return floor and ceiling of a volume in metres above ground, infinite where it has none that can be used.
 
     Args:
       layer: the limits, under the keys of ED-269 or ED-318.
       label: name and file of the zone, for messages.
-      name: of the zone.
-      notes: gets the name where a limit is not above ground, or in an unknown unit.
+      remarks: get that a limit is not above ground, or in an unknown unit.
 
     Raises:
       InputError: a limit above ground that is not a number.
@@ -401,22 +419,21 @@ def _limits(layer: Json, label: str, name: str, notes: Notes) -> tuple[float, fl
         if value is None:
             continue
         if zero != "AGL" or unit_m is None:
-            notes[NO_LIMITS].append(name)
+            remarks.append("limits")
             continue
         what = f"the {end} limit of the no-fly zone {label}"
         limits_m[end] = finite(what, value, "metres or feet") * unit_m
     return limits_m["lower"], limits_m["upper"]
 
 
-def _times(facts: Json, name: str, notes: Notes) -> tuple[datetime | None, datetime | None]:
+def _times(facts: Json, remarks: Remarks) -> tuple[datetime | None, datetime | None]:
     """Return the first and the last time at which a zone is in force, None for an end that is open.
 
     Both are None where a period is permanent, where there is no period, and where a time cannot be read.
 
     Args:
       facts: of the zone, under the keys of ED-269 or ED-318.
-      name: of the zone.
-      notes: gets the name where times cannot be read, or periods have days or hours.
+      remarks: get that times cannot be read, or that periods have days or hours.
     """
     periods = facts.get("applicability", facts.get("limitedApplicability")) or []
     try:
@@ -426,10 +443,10 @@ def _times(facts: Json, name: str, notes: Notes) -> tuple[datetime | None, datet
         starts = [_time(period.get("startDateTime")) for period in periods]
         ends = [_time(period.get("endDateTime")) for period in periods]
     except BROKEN:
-        notes["have times that cannot be read, and are taken to be in force always"].append(name)
+        remarks.append("times")
         return None, None
     if any(period.get("schedule") for period in periods):
-        notes[NO_HOURS].append(name)
+        remarks.append("hours")
     start = None if None in starts else min(filter(None, starts))
     end = None if None in ends else max(filter(None, ends))
     return start, end
@@ -449,9 +466,7 @@ def _time(text: str | None) -> datetime | None:
     return moment
 
 
-def _whole(
-    shape: shapely.Geometry, name: str, notes: Notes, *, is_lonlat: bool
-) -> shapely.Geometry:
+def _whole(shape: shapely.Geometry, remarks: Remarks, *, is_lonlat: bool) -> shapely.Geometry:
     """Return valid polygons that close all that the outline of a zone may mean.
 
     A file may mean by an edge from 179.9 to -179.9 degrees what lies between them across the antimeridian, or all the
@@ -460,24 +475,21 @@ def _whole(
 
     Args:
       shape: the outline.
-      name: of the zone.
-      notes: gets the name where more is closed than the outline draws.
+      remarks: get why more is closed than the outline draws.
       is_lonlat: whether coordinates are longitude and latitude in degrees.
     """
     # Outlines that cross themselves.
     if not shape.is_valid or shape.geom_type not in ("Polygon", "MultiPolygon"):
         polygons = made_valid(shape)
         if not shape.is_valid and not polygons.is_empty:
-            notes["have outlines that cross themselves, and close all that these enclose"].append(
-                name
-            )
+            remarks.append("crossing")
         shape = polygons
 
     # Edges that may lie across the antimeridian: how many degrees of longitude each edge of an outer ring spans.
     rings = [shapely.get_coordinates(part.exterior)[:, 0] for part in shapely.get_parts(shape)]
     spans = np.concatenate([np.abs(np.diff(lon)) for lon in rings] or [[]])
     if is_lonlat and np.any((spans > TURN / 2) & (spans < TURN)):
-        notes[ALL_AROUND].append(name)
+        remarks.append("all_around")
         _, south, _, north = shape.bounds
         shape = shapely.box(-TURN / 2, south, TURN / 2, north)
     return shape

@@ -22,6 +22,7 @@ from jaxurban.flights.legs import Flight, flight_of
 from jaxurban.flights.missions.mission import read_mission
 from jaxurban.flights.missions.parts import Datum, Leg, LonLat, Mission, Place
 from jaxurban.io.city import City
+from jaxurban.io.zone import unknown_cautions
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.knowledge import GuessKind
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -129,7 +130,8 @@ def check(
     zones = (*limits.zones, *mission.zones)
     _, _, limits = rules_on(maps, None, replace(limits, zones=zones), "")
     limits = _in_force(limits, named_times)
-    figures = {"num_zones": len(zones), "num_zones_in_force": len(limits.zones)}
+    num_closed = sum(zone.state == "closed" for zone in limits.zones)
+    figures = {"num_zones": len(zones), "num_zones_in_force": num_closed}
 
     # What is found along the mission, which parts of it are unknown, and the figures; limits are on figures.
     standing = standing_on(maps, sources)
@@ -142,6 +144,7 @@ def check(
     findings, unknown = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
     figures |= figures_of(flight, maps, times, time_of_day)
     exceeded, open_limits = _against_maxima(flight, figures, max_no_fix_m, max_people)
+    open_limits += unknown_cautions(limits.zones)
     # Empty tables are left out, since their columns would change the types of the others.
     tables = [table for table in (findings, exceeded) if len(table)]
     findings = pd.concat(tables or [findings])
@@ -163,14 +166,14 @@ def check(
 
 
 def _in_force(limits: Constraints, times: Sequence[str]) -> Constraints:
-    """Return constraints with the zones that count for a flight, each as if it were always in force.
+    """Return constraints with the zones open that do not count for a flight, each as if it were always in force.
 
     Args:
       limits: the constraints.
       times: UTC times of the flight. A zone counts if it is in force at one of them; without times every zone counts.
     """
     moments = [parse_time(text) for text in times]
-    zones = [zone for zone in limits.zones if not moments or any(map(zone.is_in_force, moments))]
+    zones = [zone.at(moments) for zone in limits.zones]
     return replace(limits, zones=tuple(replace(zone, start=None, end=None) for zone in zones))
 
 

@@ -57,7 +57,7 @@ class MissionCheck(Result):
       maps: the maps.
       left_out: a sentence on the kinds of obstacles that were not looked at, ``""`` if none was left out: as the maps'
         ``[obstacles]`` say, and in maps that are older than it plants and wires.
-      zones: the no-fly zones in force, with those of the mission's geofence.
+      zones: the no-fly zones, with those of the mission's geofence: closed, open or unknown, as of their ``state``.
       return_altitudes: a row for each place at which an item ends: its ``item``, ``apart_m`` (from home), ``own_m``
         (its height above home), ``least_m``, the least height above home at which a straight, level way home clears
         everything, up to the bound of guessed heights (NaN where that is not known), and ``way_m``, the least from

@@ -104,7 +104,8 @@ def plot_mission(result: MissionCheck) -> Figure:
     window = grid.window_in(whole)
     shown = [layer._replace(values=layer.values[window]) for layer in layers]
     found = result.findings
-    is_drawn = True, flight.mission.home, True, True, len(found), result.zones, has_guessed
+    of_zones = [zone.part_on(grid) for zone in result.zones if zone.state != "open"]
+    is_drawn = True, flight.mission.home, True, True, len(found), of_zones, has_guessed
     legend = [*compress(LEGEND, is_drawn)]
     panel = frame.MapPanel("Roof height (m)", shown)
     heading = frame.joined(flight.mission.name, result.sentence)
@@ -116,7 +117,7 @@ def plot_mission(result: MissionCheck) -> Figure:
         for kind, lines in maps.base_map.to_crs(grid.crs).groupby("kind"):
             if kind in STREETS:
                 lines.plot(ax=axes, aspect=None, color=STREET_COLOUR, linewidth=0.5)
-    for part in shapely.get_parts([zone.on(grid) for zone in result.zones]):
+    for part in shapely.get_parts(of_zones):
         gpd.GeoSeries([part]).plot(ax=axes, aspect=None, **ZONE)
     line_m = np.pad(flight.lines_m, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
     axes.plot(*line_m.reshape(-1, 2).T, **MISSION)

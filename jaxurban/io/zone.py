@@ -1,37 +1,49 @@
-"""No-fly zones: polygons with a floor, a ceiling and times, and the cells that they touch."""
+"""No-fly zones: polygons with a floor, a ceiling and times, and the cells that they touch.
+
+What a file of zones holds is closed, open by its own limits, or unknown, and is a `Zone` in each case.
+"""
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from typing import Literal
 
 import numpy as np
 import shapely
 from shapely import affinity
 
 from jaxurban.errors import InputError
+from jaxurban.knowledge import Caution
+from jaxurban.public import listed
 from jaxurban.world.extent import polygonal
-from jaxurban.world.grid import Grid, known_crs, transformer
+from jaxurban.world.grid import WGS84, Grid, known_crs, transformer
 
 MAX_EDGE_M = 100.0  # longer edges are cut before they are projected: at latitude 60 they then bend less than 1 mm
 METRES_PER_DEGREE = 111_320.0
 FLIGHT = timedelta(hours=1)  # from the time that is planned for: a zone in force by then is closed
 TURN = 360.0  # degrees of longitude
+ZoneState = Literal["closed", "open", "unknown"]
 
 
 @dataclass(frozen=True)
 class Zone:
-    """A place where no flight may go, from a floor to a ceiling, both included.
+    """A place where no flight may go, from a floor to a ceiling, both included, or what a file holds in its place.
 
     Attributes:
       name: for messages.
-      polygon: a valid shapely Polygon or MultiPolygon in ``crs``; its border belongs to it.
+      polygon: a valid shapely Polygon or MultiPolygon in ``crs``; its border belongs to it. Of a zone that is not
+        closed any shape that shows where it lies, empty where that is not known.
       crs: any CRS that pyproj knows; edges are straight in it.
       floor_m, ceiling_m: metres above ground; left out, every altitude.
       source: the file it was read from.
       start, end: times with their offsets between which it is in force, both included; None without one.
+      state: ``"closed"``; ``"open"``, by its own limits; or ``"unknown"``: what it closes is not read.
+      remarks: why it is not closed, or is closed otherwise than its file may mean: keys of `airspace.REMARKS`, or
+        ``"not_in_force"`` at the time of a flight.
 
     Raises:
-      InputError: no polygon or one without area, or a floor above the ceiling or not a number.
+      InputError: a closed one that is no polygon or has no area, or a floor above the ceiling or not a number.
     """
 
     name: str
@@ -42,17 +54,18 @@ class Zone:
     source: str = ""
     start: datetime | None = None
     end: datetime | None = None
+    state: ZoneState = "closed"
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the attributes; InputError as of the class."""
-        if (
-            not isinstance(self.polygon, (shapely.Polygon, shapely.MultiPolygon))
-            or self.polygon.is_empty
-        ):
+        is_closed = self.state == "closed"
+        is_area = isinstance(self.polygon, (shapely.Polygon, shapely.MultiPolygon))
+        if is_closed and (self.polygon.is_empty or not is_area):
             raise InputError(
                 f"the no-fly zone {self.label} has no area: draw it as a polygon of three or more corners"
             )
-        if not self.polygon.is_valid:
+        if is_closed and not self.polygon.is_valid:
             raise InputError(
                 f"the outline of the no-fly zone {self.label} crosses itself: see shapely.make_valid"
             )
@@ -81,6 +94,18 @@ class Zone:
         low = "the ground" if np.isinf(self.floor_m) else f"{self.floor_m:g} m"
         return f"from {low} " + ("up" if np.isinf(self.ceiling_m) else f"to {self.ceiling_m:g} m")
 
+    @property
+    def place(self) -> list[float]:
+        """Longitude and latitude in degrees of its first corner, or point; empty where its shape has none."""
+        corner = shapely.get_coordinates(self.polygon)[:1]
+        return np.ravel(transformer(self.crs, WGS84).transform(*corner.T)).tolist()
+
+    def at(self, times: Sequence[datetime]) -> "Zone":
+        """Return the zone, open if it is in force at none of several times; without times itself."""
+        if not times or any(map(self.is_in_force, times)):
+            return self
+        return replace(self, state="open", remarks=("not_in_force", *self.remarks))
+
     def is_in_force(self, time: datetime) -> bool:
         """Return whether the zone is in force at a time (with its offset) or within `FLIGHT` after it."""
         return (self.end is None or time <= self.end) and (
@@ -88,7 +113,14 @@ class Zone:
         )
 
     def on(self, grid: Grid) -> shapely.Geometry:
-        """Return the part of the zone near a grid, valid polygons in the grid's CRS; empty where it is elsewhere."""
+        """Return what the zone closes near a grid, valid polygons in the grid's CRS; empty where it closes nothing."""
+        if self.state != "closed":
+            return shapely.Polygon()
+        part = self.part_on(grid)
+        return polygonal(part) if part.is_valid else made_valid(part)
+
+    def part_on(self, grid: Grid) -> shapely.Geometry:
+        """Return the part of the zone's shape near a grid, in the grid's CRS; empty where it is elsewhere."""
         # A box around the grid in the zone's CRS, 1 % of its sides wider, and the outline in it.
         to_file = transformer(grid.crs, self.crs)
         west, south, east, north = to_file.transform_bounds(*grid.bounds_m, densify_pts=21)
@@ -101,15 +133,24 @@ class Zone:
         lons = (self.polygon.bounds[0], self.polygon.bounds[2], box.bounds[0], box.bounds[2])
         if crs.is_geographic and max(map(abs, lons)) > TURN / 2:
             seen = [affinity.translate(self.polygon, turn) for turn in (-TURN, 0.0, TURN)]
-        polygon = polygonal(shapely.union_all(shapely.intersection(seen, box)))
+        part = shapely.union_all(shapely.intersection(seen, box))
 
         # Edges are straight in the zone's CRS and bend in the grid's, so they are cut before.
         unit_m = METRES_PER_DEGREE if crs.is_geographic else crs.axis_info[0].unit_conversion_factor
         project = transformer(self.crs, grid.crs)
-        moved = shapely.transform(
-            shapely.segmentize(polygon, MAX_EDGE_M / unit_m), project.transform, interleaved=False
+        return shapely.transform(
+            shapely.segmentize(part, MAX_EDGE_M / unit_m), project.transform, interleaved=False
         )
-        return moved if moved.is_valid else made_valid(moved)
+
+
+def unknown_cautions(zones: Sequence[Zone]) -> list[Caution]:
+    """Return a sentence on the zones that are unknown; none where there is no such zone."""
+    labels = [zone.label for zone in zones if zone.state == "unknown"]
+    sentence = (
+        f"{len(labels)} no-fly zone(s) have no area that is read, so what they close is not known ({listed(labels)}): "
+        "draw them as polygons, or remove those that close nothing there."
+    )
+    return [Caution(sentence, "guess", "not judged")] if labels else []
 
 
 def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:

@@ -348,9 +348,10 @@ class Constraints:
         """Return the constraints as plain, JSON-ready values.
 
         Returns:
-          ``no_fly`` (a dictionary for each zone, its floor and ceiling in metres or None where it has none) and
-          ``require`` (bounds as texts). Clearances in metres and what the vehicle is follow where they are not 0, and
-          ``unknown_heights``; and ``above_gps_floor`` where it is asked.
+          ``no_fly`` (a dictionary for each zone, closed or not: its state and remarks, its first corner in degrees, its
+          floor and ceiling in metres or None where it has none) and ``require`` (bounds as texts). Clearances in metres
+          and what the vehicle is follow where they are not 0, and ``unknown_heights``; and ``above_gps_floor`` where it
+          is asked.
 
         Examples:
           >>> record = ju.Constraints.read(require="gps>=0.5", clearance_m=5.0).to_dict()
@@ -363,6 +364,9 @@ class Constraints:
             {
                 "name": zone.name,
                 "file": zone.source,
+                "state": zone.state,
+                "remarks": list(zone.remarks),
+                "place": zone.place,
                 "floor_m": number_or_none(zone.floor_m),  # None where it is open downward
                 "ceiling_m": number_or_none(zone.ceiling_m),
                 "outline": zone.outline,
@@ -381,12 +385,12 @@ class Constraints:
         }
 
     def at(self, time: str | None) -> "Constraints":
-        """Return the constraints without the zones that are not in force at a time of flight, which a warning names.
+        """Return the constraints with the zones open that are not in force at a time of flight, which a warning names.
 
         A zone counts where it is in force at the time or within an hour after it (`zone.FLIGHT`).
 
         Returns:
-          `Constraints` with the zones that count; itself where no time is named or no zone has times.
+          `Constraints` with the same zones; itself where no time is named or no zone has times.
 
         Examples:
           >>> limits = ju.Constraints(clearance_m=5.0)
@@ -396,14 +400,14 @@ class Constraints:
         if time is None or not any(zone.start or zone.end for zone in self.zones):
             return self
         flight = parse_time(time)
-        in_force = tuple(zone for zone in self.zones if zone.is_in_force(flight))
+        zones = [zone.at([flight]) for zone in self.zones]
         off = [zone.label for zone in self.zones if not zone.is_in_force(flight)]
         if off:
             sentence = (
                 f"zones not in force at {time} nor within an hour, which close nothing: {len(off)}"
             )
             warn(f"{sentence} ({listed(off)})", IgnoredZoneWarning)
-        return replace(self, zones=in_force)
+        return replace(self, zones=tuple(zones))
 
     def is_free(
         self,
@@ -525,15 +529,18 @@ class Constraints:
         reaches_grid = False
         for zone in self.zones:
             zone_m = zone.on(grid)  # its outline in the grid's CRS
-            reaches_grid |= not zone_m.is_empty
+            if zone_m.is_empty:
+                continue
+            reaches_grid = True
             holds_level = (zone.floor_m <= levels_m) & (levels_m <= zone.ceiling_m)
             # A zone between a level and the next closes the lower of the two.
             lies_above_level = (levels_m < zone.floor_m) & (zone.ceiling_m < next_level_m)
             is_closed_level = holds_level | lies_above_level
             if is_closed_level.any():
                 closed[is_closed_level] |= touched_cells(zone_m, grid)
-        if self.zones and not reaches_grid:
-            files = ", ".join(sorted({repr(zone.source) for zone in self.zones}))
+        sources = {repr(zone.source) for zone in self.zones if zone.state == "closed"}
+        if sources and not reaches_grid:
+            files = ", ".join(sorted(sources))
             sentence = f"no zone of {files} lies in the maps' region, so that nothing is closed: check the file"
             warn(sentence, IgnoredZoneWarning)
         return closed
@@ -593,7 +600,7 @@ class Constraints:
 
 def describe_constraints(record: Mapping[str, Any]) -> str:
     """Return constraints for a person to read, from a record of `Constraints.to_dict`; empty where there are none."""
-    num_zones = len(record.get("no_fly", ()))
+    num_zones = sum(zone["state"] == "closed" for zone in record.get("no_fly", ()))
     zones = {0: "", 1: "1 no-fly zone"}.get(num_zones, f"{num_zones} no-fly zones")
     floor = "at or above the GPS floor" if record.get("above_gps_floor") else ""
     phrases = [zones, *record.get("require", ()), floor, *describe_clearances(record)]

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
+from jaxurban.io.zone import unknown_cautions
 from jaxurban.kernels.tolerances import AT_LIMIT, BESIDE_M, GROUND_TOLERANCE_M
 from jaxurban.knowledge import Caution, Level, caution_of_guesses, sentences_of
 from jaxurban.maps.levels import values_at
@@ -308,8 +309,9 @@ def cautions(
 
     A route that passes nearer than 3 m to a building as high says so first, with the place.
 
-    Also reported: an end in a cell that a roof touches; climbs, descents and turns beyond the limits of the vehicle
-    that it was planned for; and what the path's message notes. A sentence each, what is guessed first.
+    Also reported: zones of which it is not known what they close; an end in a cell that a roof touches; climbs,
+    descents and turns beyond the limits of the vehicle that it was planned for; and what the path's message notes. A
+    sentence each, what is guessed first.
 
     Distances are measured from the route to the edges of cells, so that 0 is contact; obstacles outside the region are
     not known.
@@ -337,6 +339,7 @@ def cautions(
     clearance = _clearance(profile, limits.horizontal_m)
     is_beside = bool(profile[CLEARANCE].min() < BESIDE_M - AT_LIMIT)
     return [
+        *unknown_cautions(planned.zones),
         *_unknown_heights(profile),
         *[clearance] * is_beside,
         *guess_cautions(maps, profile),

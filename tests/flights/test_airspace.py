@@ -155,8 +155,12 @@ def test_every_format_in_every_crs_closes_the_same_cells(tmp_path, suffix, crs):
         ),
         ({"ceiling": 400}, INFINITE, "'ceiling' of 'a.geojson' not read"),
         ({"LOWER_VAL": 400}, INFINITE, "'LOWER_VAL'"),
-        ({"minimumAltitude": 400, "unit": "ft"}, INFINITE, "heights in 'ft'"),
-        ({"ceiling_m": 120, "lowerVerticalReference": "AMSL"}, INFINITE, "heights in 'AMSL'"),
+        ({"minimumAltitude": 400, "unit": "ft"}, INFINITE, "limits in a unit or above a zero"),
+        (
+            {"ceiling_m": 120, "lowerVerticalReference": "AMSL"},
+            INFINITE,
+            "give metres above ground",
+        ),
     ],
 )
 def test_heights_are_metres_above_ground_and_else_close_every_altitude_and_say_so(
@@ -201,14 +205,15 @@ def test_kml_is_read_with_all_its_folders_holes_and_data_but_for_the_heights_of_
     assert len(read["first"].polygon.interiors) == 1
 
 
-def test_what_is_no_polygon_closes_nothing_and_is_told(file):
+def test_what_is_no_polygon_is_unknown_and_told(file):
     point = shapely.Point(LON, LAT)
     mixed = shapely.GeometryCollection([SQUARE, point])
     write_features(file, (SQUARE, {}), (point, {}), (None, {}), (mixed, {"name": "mixed"}))
-    with pytest.warns(IgnoredZoneWarning, match=r"3 feature\(s\) of 'a.geojson' are not polygons"):
+    words = r"'a.geojson' that are points, lines.*: 3 \('feature 2', 'feature 3', 'mixed'\)"
+    with pytest.warns(IgnoredZoneWarning, match=words):
         zones = read_zones(file)
-    assert [zone.name for zone in zones] == ["polygon 1", "mixed"]
-    assert zones[1].polygon.equals(SQUARE)
+    assert [zone.name for zone in zones if zone.state == "closed"] == ["feature 1", "mixed"]
+    assert zones[3].polygon.equals(SQUARE)
 
 
 @pytest.mark.parametrize("is_ed269", [False, True])
@@ -242,9 +247,9 @@ LINE = [(0, 0), (1, 1), (2, 2), (0, 0)]
         ([(SQUARE, {"floor_m": 80, "ceiling_m": 30})], "floor 80 m and ceiling 30 m"),
         (
             [(SQUARE, {"floor_m": "ground"})],
-            "'polygon 1' of 'a.geojson' must be a finite number .* got 'ground'",
+            "'feature 1' of 'a.geojson' must be a finite number .* got 'ground'",
         ),
-        ([(SQUARE, {}), (shapely.Polygon(LINE), {})], "'polygon 2' of 'a.geojson' has no area"),
+        ([(SQUARE, {}), (shapely.Polygon(LINE), {})], "'feature 2' of 'a.geojson' has no area"),
         ([(SQUARE, {}), ({"type": "Polygon", "coordinates": [LINE[::3]]}, {})], "cannot be read"),
         (polygon([[LON, LAT], [LON, LAT + 1]]), "cannot be read"),
         (polygon([[LAT, "north"], [LON, LAT], [0, 0]]), "cannot be read"),
@@ -377,7 +382,8 @@ def test_what_needs_an_authorisation_is_closed_and_told_and_what_restricts_nothi
     ed269(file, *(zone(polygon(), name=kind, restriction=kind) for kind in kinds))
     with pytest.warns(IgnoredZoneWarning) as caught:
         read = read_zones(file)
-    assert [each.name for each in read] == ["REQ_AUTHORISATION", "CONDITIONAL", "PROHIBITED"]
+    assert [each.name for each in read if each.state == "open"] == ["NO_RESTRICTION"]
+    assert [each.state for each in read].count("closed") == 3
     assert sorted(str(warning.message) for warning in caught) == [
         "zones of 'a.geojson' that need an authorisation or hold on conditions, and are closed: 2 "
         "('REQ_AUTHORISATION', 'CONDITIONAL')",
@@ -481,5 +487,5 @@ def test_a_zone_closes_at_no_named_time_and_opens_where_the_named_one_is_outside
         IgnoredZoneWarning, match=r"zones not in force at 2020-.* which close nothing: 1 \('Findel'"
     ):
         opened = ju.cost_map(maps, 20.0, constraints=constraints, time="2020-04-27T16:00:00Z")
-    assert opened.constraints.zones == ()
+    assert [zone.state for zone in opened.constraints.zones] == ["open"]
     np.testing.assert_array_equal(opened.is_free, maps.is_free(20.0))

@@ -521,10 +521,11 @@ def test_a_breach_of_the_geofence_names_the_area_of_the_file(open_scene, tmp_pat
         "enters the no-fly zone 'land outside the geofence'",
     ]
     assert result.findings["along_m"].tolist() == pytest.approx([380 + 180, 380 + 439.2], abs=0.6)
-    assert [zone["name"] for zone in result.limits["no_fly"]] == [
-        "geofence polygon 1",
-        "land outside the geofence",
-    ]
+    assert {zone["name"]: zone["state"] for zone in result.limits["no_fly"]} == {
+        "stadium": "open",  # at this time
+        "geofence polygon 1": "closed",
+        "land outside the geofence": "closed",
+    }
 
 
 def test_named_limits_are_findings_or_not_judged(open_scene):

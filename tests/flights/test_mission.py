@@ -326,6 +326,7 @@ def test_a_geofence_is_read_and_what_of_it_is_damaged_is_named(read):
         fence_of(outline=[[LAT, LON], [LAT, None], [LAT + 1, LON]]),
         fence_of(outline=[[LAT, LON], [LAT + 90, LON], [LAT, 9.0]]),
         fence_of(inclusion="false"),
+        fence_of(version=2),
         fence_of(inclusion=None),
         fence_of("circles", circle | {"radius": 0}),
         fence_of("circles", circle | {"radius": -5}),
@@ -341,6 +342,8 @@ def test_a_geofence_is_read_and_what_of_it_is_damaged_is_named(read):
         assert (number, mission.zones) == (number, [])
         assert (number, len(mission.not_judged)) == (number, 1)
         assert "is damaged, and not judged" in mission.not_judged[0]
+    (note,) = read_with(read, fence_of() | {"maxAltitude": 50.0}).not_judged
+    assert note == "its part 'maxAltitude' is not judged"
     (note,) = read_with(read, fence_of() | {"version": 1}).not_judged
     assert note == "its version of its geofence is 1, and only 2 is understood"
 

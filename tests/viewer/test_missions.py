@@ -4,13 +4,17 @@ import base64
 import html
 import json
 import tempfile
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.flights.export.write import FORMATS
+from jaxurban.paths.suffixes import FLOWN
 from jaxurban.viewer.server import MOST_BODY, MOST_MISSION
 from jaxurban.viewer.viewer import Viewer
 from tests.made_maps import made_maps
@@ -114,6 +118,34 @@ def test_a_mission_is_judged_under_the_clearances_and_the_zones_of_the_page(file
     shown = answer(viewer, "check", **query, zones=zones)
     assert html.escape("Enters the no-fly zone 'zone 1'") in shown["findings"]
     assert "no-fly zones: 1 of 1 in force" in shown["figures"]
+
+
+@pytest.mark.filterwarnings("ignore::jaxurban.errors.IgnoredZoneWarning")
+def test_a_zone_that_is_no_polygon_is_named_on_the_page_and_no_mission_is_saved(files):
+    viewer = Viewer(MAPS)
+    west, south = GRID.lonlat_of_cell(56, 76)
+    shapes = shapely.box(west, south, west + 1e-4, south + 1e-4), shapely.Point(west, south)
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"name": name},
+            "geometry": shapely.geometry.mapping(shape),
+        }
+        for name, shape in zip(("field", "heliport"), shapes, strict=True)
+    ]
+    zones = json.dumps({"type": "FeatureCollection", "features": features})
+    shown = answer(viewer, "check", **mission(files["clean"]), zones=zones)
+    assert ju.check(MAPS, files["clean"]).state == "clean"
+    assert "Not judged: nothing was found" in shown["state"]
+    assert html.escape("'heliport' of 'zones.geojson'") in shown["not-judged"]
+
+    free = np.argwhere(MAPS.m("roof_touched") == 0)
+    start, goal = (list(map(float, GRID.lonlat_of_cell(*free[k]))) for k in (200, 1000))
+    route = AT | {"start": start, "goal": goal, "weights": {}, "zones": zones, "flight_m": 60.0}
+    for suffix in FORMATS:
+        is_flown = suffix in FLOWN
+        with pytest.raises(InputError, match="'heliport'") if is_flown else nullcontext():
+            viewer.answer("save", route | {"format": suffix})
 
 
 @pytest.mark.parametrize(

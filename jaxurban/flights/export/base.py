@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxurban.errors import InputError
+from jaxurban.io.zone import unknown_cautions
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M, MOST_BULGE_M
 from jaxurban.knowledge import sentences_of
 from jaxurban.paths.lines import along_of
@@ -63,7 +65,11 @@ def upward(height_m: np.ndarray) -> np.ndarray:
 
 
 def facts_of(
-    route: PlannedPath, report: RouteReport | None, *, is_alone: bool = True
+    route: PlannedPath,
+    report: RouteReport | None,
+    *,
+    is_alone: bool = True,
+    is_flown: bool = True,
 ) -> dict[str, Any]:
     """Return the facts of a path by name, its ``cautions`` among them.
 
@@ -72,7 +78,13 @@ def facts_of(
       report: the report of the path, whose totals, settings and ``segments`` are added.
       is_alone: whether the file holds no other path. With other paths only what the maps guess is a caution, since all
         other cautions take some hundredths of a second for each path.
+      is_flown: whether autopilots or their ground stations read the file, as long as nobody knows better.
+
+    Raises:
+      InputError: a path that is flown, and of whose zones it is not known what they close.
     """
+    for said in unknown_cautions(route.zones) if is_flown else ():
+        raise InputError(f"no mission is written (a .geojson is), as {said[:-1]}")
     report_facts = {} if report is None else report.to_dict()
     facts = report_facts | route.to_dict()
     vehicle = Vehicle.of(route.settings)

@@ -64,7 +64,7 @@ def to_geojson(routes: Named, report: RouteReport | None) -> bytes:
     """
     features = []
     for name, route in routes:
-        facts = facts_of(route, report, is_alone=len(routes) == 1)
+        facts = facts_of(route, report, is_alone=len(routes) == 1, is_flown=False)
         # A GIS takes nested properties for text, so that each number gets a property of its own too.
         for layer, cost in facts["cost_by_layer"].items():
             facts[f"cost_{layer}"] = cost

@@ -37,6 +37,8 @@ def read_geofence(
             name = f"geofence {kind} {number}"
             try:
                 lats, lons = corners_of(part[kind]).T
+                if part.get("version", 1) != 1:
+                    raise ValueError(part["version"])
                 ring = shapely.Polygon(np.column_stack([np.unwrap(lons, period=360), lats]))
                 area = polygonal(shapely.make_valid(ring))
                 zones[part["inclusion"]].append(Zone(name, area, source=source))

@@ -58,7 +58,7 @@ NANS = ("nan", "-nan", "NaN")  # as C and .NET write a value that is left open
 KNOWN = (
     ("version", 1, ("mission", "settings", "geoFence", "rallyPoints")),
     ("version of its mission", 2, ("items", "plannedHomePosition")),
-    ("version of its geofence", 2, ("polygons", "circles", "breachReturn")),
+    ("version of its geofence", 2, ("version", "polygons", "circles", "breachReturn")),
 )
 Home = tuple[LonLat | None, float | None]  # its place, and its elevation above the geoid
 
@@ -106,7 +106,12 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
         version = whole.get("version")
         if version is True or version != known:
             notes.append(f"its {what} is {str(version)[:40]}, and only {known} is understood")
-        held = [key for key, value in whole.items() if value and isinstance(value, dict | list)]
+        is_fence = whole is geofence  # of which a number may be a limit too
+        held = [
+            key
+            for key, value in whole.items()
+            if value and (is_fence or isinstance(value, dict | list))
+        ]
         notes += [f"its part {key[:40]!r} is not judged" for key in held if key not in parts]
     zones, damaged = read_geofence(geofence, name, any_is_enough=autopilot == "px4")
     notes += damaged
