@@ -234,7 +234,7 @@ def _heights(facts: Json, label: str, remarks: Remarks) -> tuple[float, float]:
         remarks.append("limits")
         return -math.inf, math.inf
     if any(map(_is_ignored, facts)):
-        remarks.append("other_limits")
+        remarks.append("other_limits")  # of which `_warn_of_ignored` says more
     return min(floors_m, default=-math.inf), max(ceilings_m, default=math.inf)
 
 
@@ -303,8 +303,8 @@ def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:
             remarks = [*of_feature]
             whole = _whole(outline, remarks, is_lonlat=True)
             limits_m = _limits(layer, label, remarks)
-            true = tuple(dict.fromkeys(remarks))
-            zones.append(Zone(name, whole, "EPSG:4326", *limits_m, file, start, end, remarks=true))
+            once = tuple(dict.fromkeys(remarks))
+            zones.append(Zone(name, whole, "EPSG:4326", *limits_m, file, start, end, remarks=once))
     return zones
 
 

@@ -130,8 +130,8 @@ def check(
     zones = (*limits.zones, *mission.zones)
     _, _, limits = rules_on(maps, None, replace(limits, zones=zones), "")
     limits = _in_force(limits, named_times)
-    num_closed = sum(zone.state == "closed" for zone in limits.zones)
-    figures = {"num_zones": len(zones), "num_zones_in_force": num_closed}
+    num_in_force = sum(zone.state != "open" for zone in limits.zones)
+    figures = {"num_zones": len(zones), "num_zones_in_force": num_in_force}
 
     # What is found along the mission, which parts of it are unknown, and the figures; limits are on figures.
     standing = standing_on(maps, sources)

@@ -39,8 +39,8 @@ class Zone:
       source: the file it was read from.
       start, end: times with their offsets between which it is in force, both included; None without one.
       state: ``"closed"``; ``"open"``, by its own limits; or ``"unknown"``: what it closes is not read.
-      remarks: why it is not closed, or is closed otherwise than its file may mean: keys of `airspace.REMARKS`, or
-        ``"not_in_force"`` at the time of a flight.
+      remarks: why it is not closed, or is closed otherwise than its file may mean: keys of `airspace.REMARKS`,
+        ``"other_limits"`` of properties that are not read, or ``"not_in_force"`` at the time of a flight.
 
     Raises:
       InputError: a closed one that is no polygon or has no area, or a floor above the ceiling or not a number.

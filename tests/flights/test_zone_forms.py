@@ -9,12 +9,16 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import shapely
+from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.legend import Legend
 
 import jaxurban as ju
 from jaxurban.errors import IgnoredZoneWarning
 from jaxurban.flights.airspace import read_zones
 from jaxurban.flights.export.write import FORMATS
 from jaxurban.flights.missions.items import read_plan
+from jaxurban.flights.report import plot_mission
+from jaxurban.io.zone import Zone
 from jaxurban.paths.suffixes import FLOWN
 from tests.cli_runs import run
 from tests.made_files import WGS84, write_vector
@@ -275,6 +279,21 @@ def test_an_unknown_zone_keeps_its_place_and_limits_and_how_it_was_closed_wider_
     assert unknown["remarks"] == ["no_area"]
     assert (wider["state"], wider["remarks"]) == ("closed", ["other_limits"])
     assert str(limits).startswith("2 no-fly zones, ")
+
+
+@pytest.mark.slow
+def test_an_unknown_zone_is_drawn_where_it_lies(mission, path, tmp_path):
+    lon, lat = path.lonlat[5]
+    spot, line = shapely.Point(lon, lat), shapely.LineString(path.lonlat[[3, 9]])
+    kept = [Zone(str(k), shape, state="unknown") for k, shape in enumerate((spot, line))]
+    result = ju.check(MAPS, mission, constraints=ju.Constraints(zones=tuple(kept)))
+    axes = plot_mission(result).axes[0]
+    drawn = [each.get_offsets() for each in axes.collections if isinstance(each, PathCollection)]
+    assert any(np.allclose(place, path.xy_m[5], atol=0.01) for place in drawn)
+    lines = [each for each in axes.collections if isinstance(each, LineCollection)]
+    ends = np.array([each.get_segments()[0][[0, -1]] for each in lines if each.get_segments()])
+    assert np.isclose(ends, path.xy_m[[3, 9]], atol=0.01).all(axis=(1, 2)).any()
+    assert "no-fly zone" in [text.get_text() for text in axes.figure.findobj(Legend)[0].get_texts()]
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
