@@ -4,10 +4,8 @@ import functools
 import hashlib
 import os
 import pickle
-import stat
 import tempfile
 from collections.abc import Callable, Hashable
-from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
@@ -16,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxurban.kept_folders import cache_home, closed_folder, or_compile, read_kept, sweep_unused
 from jaxurban.progress import BRIEF_S, LOG
 
 # Its level is the switch: warnings are seen where nobody has set logging up.
@@ -27,18 +26,8 @@ SENTENCE = (
     "route of a planner"
 )
 ON_HOST = np.ndarray, np.generic  # types of values
-OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+NUM_OWN = 2  # folders: jaxurban/programs
 DIGEST_BYTES = hashlib.sha256().digest_size
-# What writing, reading, packing or unpacking a program raises where it cannot be kept or used.
-UNUSABLE = (
-    OSError,
-    EOFError,
-    RuntimeError,
-    ValueError,
-    TypeError,
-    AttributeError,
-    pickle.PickleError,
-)
 
 
 def kept_jit(function: Callable[..., Any], **options: Any) -> Any:
@@ -50,9 +39,9 @@ def kept_jit(function: Callable[..., Any], **options: Any) -> Any:
     put on another device than JAX's default, and where the user has given JAX a cache of its own
     (``JAX_COMPILATION_CACHE_DIR``), the function is that of `jax.jit`.
 
-    Programs lie in ``$XDG_CACHE_HOME/jaxurban/programs`` (``~/.cache`` where the variable is not set). As loading one
-    can run code, the folder and the file must belong to the user, be no links, and let nobody else write; and the file
-    must be as it was written. Otherwise the program is compiled.
+    Programs lie in ``$XDG_CACHE_HOME/jaxurban/programs`` (``~/.cache`` without an absolute one). As loading one can run
+    code, only this user and root may be able to write to the file or to exchange it (`closed_folder`, `read_kept`), and
+    the file must be as it was written. Otherwise the program is compiled.
 
     Args:
       function: of arrays and pytrees of them. It depends on nothing but its arguments and the package's source.
@@ -112,7 +101,7 @@ def _program(function: Callable, signature: Hashable, lower: Callable[[], Any]) 
       lower: returns the traced function, to be compiled.
     """
     file = program = None
-    with suppress(*UNUSABLE):
+    with or_compile():
         file = _file_of(function.__module__, function.__qualname__, signature)
         program = _loaded(file)
     if program is None:
@@ -120,7 +109,7 @@ def _program(function: Callable, signature: Hashable, lower: Callable[[], Any]) 
         program = lower().compile()
         if perf_counter() - start_s > BRIEF_S:
             say_compiling()
-        with suppress(*UNUSABLE):
+        with or_compile():
             if file is not None:
                 _keep(program, file)
     return program
@@ -137,9 +126,8 @@ def _file_of(*key: Any) -> Path:
 
     Raises one of `UNUSABLE` where the user has no home, or the key cannot be packed.
     """
-    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     packed = pickle.dumps((key, _session()))
-    return caches / "jaxurban" / "programs" / hashlib.sha256(packed).hexdigest()
+    return cache_home() / "jaxurban" / "programs" / hashlib.sha256(packed).hexdigest()
 
 
 @functools.cache
@@ -160,16 +148,15 @@ def _session() -> str:
 
 
 def _loaded(file: Path) -> Any:
-    """Return the program in a file; None where others may have written it, or it is not as it was written.
+    """Return the program in a file, marked as used now; None where it is not as it was written.
 
-    Raises one of `UNUSABLE` where there is none, or none for this machine.
+    Raises one of `UNUSABLE` where others may have written it, there is none, or it is none for this machine.
     """
     import jax
     from jax.experimental.serialize_executable import deserialize_and_load
 
-    if not (_is_ours(file.parent) and _is_ours(file)):
-        return None
-    content = file.read_bytes()
+    closed_folder(file.parent, NUM_OWN)
+    content = read_kept(file)
     entry = content[DIGEST_BYTES:]
     if _digest(file, entry) != content[:DIGEST_BYTES]:
         return None
@@ -179,17 +166,14 @@ def _loaded(file: Path) -> Any:
 
 
 def _keep(program: Any, file: Path) -> None:
-    """Write a program into its file, by way of another one beside it, unless others may write to the folder.
+    """Write a program into its file, by way of another one beside it, and sweep the folder.
 
-    Raises one of `UNUSABLE` where that cannot be done.
+    Raises one of `UNUSABLE` where that cannot be done, or others may write to the folder.
     """
     from jax.experimental.serialize_executable import serialize
 
     entry = pickle.dumps(serialize(program))
-    folder = file.parent
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not _is_ours(folder):
-        return
+    folder = closed_folder(file.parent, NUM_OWN)
     descriptor, beside = tempfile.mkstemp(dir=folder)  # others can neither read nor write it
     try:
         with open(descriptor, "wb") as stream:
@@ -197,26 +181,9 @@ def _keep(program: Any, file: Path) -> None:
         os.replace(beside, file)
     except OSError:
         os.remove(beside)
+    sweep_unused(folder)
 
 
 def _digest(file: Path, entry: bytes) -> bytes:
     """Return the hash that a program's entry follows in its file: of the key too, as files can change their names."""
     return hashlib.sha256(file.name.encode() + entry).digest()
-
-
-@functools.cache
-def _is_ours(place: Path) -> bool:
-    """Return whether a file or a folder is the user's alone to write to, and no link; else the log says so, once.
-
-    Raises:
-      OSError: there is none.
-    """
-    status = place.lstat()
-    is_own = os.name == "nt" or status.st_uid == os.getuid()
-    is_ours = is_own and not (stat.S_ISLNK(status.st_mode) or status.st_mode & OTHERS_WRITE)
-    if not is_ours:
-        LOG.warning(
-            f"programs are not loaded from {str(place)!r}, which is a link, or another user's, or where others may "
-            "write and so run code here: remove it, or take their right to write (chmod 700)"
-        )
-    return is_ours

@@ -14,9 +14,13 @@ import numba
 import numpy as np
 from numba.core import event  # documented (Numba's event API)
 
+from jaxurban.kept_folders import cache_home, closed_folder, or_compile, refuse_unsafe, sweep_unused
 from jaxurban.programs import say_compiling
 
 config: Any = numba.config
+# The access control list u::rwx,g::---,o::--- as Linux takes it: the version, then tag, permissions and id of each
+# entry (linux/posix_acl_xattr.h). A folder's default holds in the place of the umask for what is made in it (acl(5)).
+ONLY_OURS = b"\2\0\0\0\1\0\7\0\xff\xff\xff\xff\4\0\0\0\xff\xff\xff\xff\x20\0\0\0\xff\xff\xff\xff"
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -36,18 +40,13 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     options = {"nogil": True} | options
 
     def decorate(function: Callable[..., Any]) -> Any:
-        """Return the function compiled at its first call; Numba reads the cache's folder from its configuration."""
-        # No argument of Numba names the folder: it reads its configuration, once, while it decorates. What was there is
-        # put back at once, so nothing of the process is changed for others.
-        configured = config.CACHE_DIR
-        with suppress(RuntimeError, OSError):
-            config.CACHE_DIR = str(_folder(function.__module__, configured))
-            try:
-                return numba.njit(cache=True, **options)(function)
-            finally:
-                config.CACHE_DIR = configured
-        # No folder can be written to (a read-only install without a home): each process compiles.
-        return numba.njit(**options)(function)
+        """Return the function, compiled or loaded at its first call."""
+        kept = None
+        with or_compile():
+            kept = _kept(function, options)
+        if kept is None:
+            kept = numba.njit(**options)(function)
+        return kept
 
     return decorate
 
@@ -59,32 +58,74 @@ def host_array(values: Any) -> np.ndarray:
     return array
 
 
-@functools.cache
-def _folder(module: str, chosen: str) -> Path:
-    """Return a writable folder for the machine code of a module; it is made where it does not exist.
+def _kept(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """Return a function that Numba compiles at its first call and keeps, or loads then.
 
-    It lies in ``chosen`` alone if that is given; else beside the module, or where that cannot be written to, in the
-    user's cache.
+    Raises:
+      OSError, RuntimeError: no folder can be used: a read-only install without a home, or others may write to it.
+    """
+    # No argument of Numba names the folder: it reads its configuration, once, while it decorates. What was there is
+    # put back at once, so nothing of the process is changed for others.
+    chosen = config.CACHE_DIR
+    folder = _folder(function.__module__, chosen)
+    config.CACHE_DIR = str(folder)
+    try:
+        kept: Any = numba.njit(cache=True, **options)(function)
+    finally:
+        config.CACHE_DIR = chosen
+    if folder not in Path(kept.stats.cache_path).parents:
+        raise OSError("Numba cannot write to the folder and has taken another one")
+    return kept
+
+
+def _folder(module: str, chosen: str) -> Path:
+    """Return a folder for the machine code of a module; it is made where it does not exist.
+
+    It lies in ``chosen`` alone if that is given; else beside the module, or where that cannot be used, in the user's
+    cache.
 
     Args:
       module: name of an imported module.
-      chosen: path of the folder that Numba's configuration names; empty without one.
+      chosen: path of the folder that Numba's configuration names, which is not looked at; empty without one.
 
     Raises:
-      OSError: none of these folders can be written to.
+      OSError, RuntimeError: none of these folders can be used.
     """
-    beside = Path(sys.modules[module].__file__ or "").parent / "__pycache__"
-    cache_home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    parents = [beside, Path(cache_home, "jaxurban", "numba")]
+    name = f"numba-{_digest(module)}"
     if chosen:
-        parents = [Path(chosen)]
-    for parent in parents:
-        with suppress(OSError):
-            folder = parent / f"numba-{_digest(module)}"
-            folder.mkdir(parents=True, exist_ok=True)
-            if os.access(folder, os.W_OK | os.X_OK):
-                return folder
-    raise OSError("no folder can be written to")
+        folder = Path(chosen, name)
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+    package = Path(sys.modules[module].__file__ or "").parent
+    with suppress(OSError):
+        return _looked_at(package / "__pycache__" / name, 2)
+    return _looked_at(cache_home() / "jaxurban" / "numba" / name, 3)
+
+
+def _looked_at(place: Path, num_own: int) -> Path:
+    """Return a closed folder in which Numba finds nothing that another user could have written.
+
+    Numba opens its files by their names, at the first call. From here on nobody but this user and root can write to the
+    folder or exchange it (`closed_folder`), so that what is looked at here is what Numba reads then. Where it is empty,
+    unused folders beside it are swept.
+
+    Args:
+      place, num_own: as of `closed_folder`.
+
+    Raises:
+      PermissionError: another user could have written the folder or something in it, or this one may not write.
+      OSError: it cannot be made for another reason.
+    """
+    folder = closed_folder(place, num_own)
+    # Numba writes by the umask, which may let others in; not so in a folder with such a list, if the disk knows lists.
+    with suppress(AttributeError, OSError):
+        os.setxattr(folder, "system.posix_acl_default", ONLY_OURS)
+    files = [*folder.glob("*/*.nb[ic]")]
+    for found in (*folder.iterdir(), *files):
+        refuse_unsafe(found, found.lstat())
+    if not files:
+        sweep_unused(folder.parent)
+    return folder
 
 
 @functools.cache

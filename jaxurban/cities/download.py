@@ -23,6 +23,7 @@ from urllib3.exceptions import HTTPError
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import digest_of, scratch_for
+from jaxurban.kept_folders import cache_home
 from jaxurban.progress import LOG
 
 CHUNK_BYTES = 1 << 18
@@ -116,7 +117,7 @@ def _is_private(host: str | None) -> bool:
 
 def cache_folder() -> Path:
     """Return where downloads are kept (``$XDG_CACHE_HOME/jaxurban/fetch``)."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxurban" / "fetch"
+    return cache_home() / "jaxurban" / "fetch"
 
 
 def download(source: Source, most_bytes: int) -> Path:
