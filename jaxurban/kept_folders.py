@@ -80,8 +80,8 @@ def refuse_unsafe(place: Path, status: os.stat_result, *, leads_only: bool = Fal
     """Raise PermissionError where another user could have changed a file, or what lies in a folder.
 
     Args:
-      place: where it lies, for the error.
-      status: of it.
+      place: for the error, which is said once a place: the folder, or the one that holds the file.
+      status: of the file or folder.
       leads_only: it lies above the folders of programs, where it may be a link or sticky.
     """
     mode = status.st_mode
@@ -90,7 +90,7 @@ def refuse_unsafe(place: Path, status: os.stat_result, *, leads_only: bool = Fal
         is_shut |= stat.S_ISLNK(mode) or bool(mode & stat.S_ISVTX)
     if os.name != "nt" and not (is_shut and status.st_uid in (0, os.geteuid())):
         raise PermissionError(
-            f"{str(place)!r} is a link, a pipe or another user's, or others may write to it"
+            f"{str(place)!r} is or holds a link, a pipe or what another user owns or may write to"
         )
 
 
@@ -104,7 +104,7 @@ def read_kept(file: Path) -> bytes:
       PermissionError: another user could have written it.
       OSError: there is none, or it cannot be read.
     """
-    refuse_unsafe(file, file.lstat())
+    refuse_unsafe(file.parent, file.lstat())
     with suppress(OSError):  # it is root's
         os.utime(file)
     if os.name == "nt":
@@ -116,7 +116,7 @@ def read_kept(file: Path) -> bytes:
     finally:
         os.close(folder)
     with open(opened, "rb") as stream:
-        refuse_unsafe(file, os.fstat(opened))
+        refuse_unsafe(file.parent, os.fstat(opened))
         return stream.read()
 
 
@@ -144,8 +144,8 @@ def or_compile() -> Iterator[None]:
     except PermissionError as error:
         _warn(
             f"compiled programs are neither loaded nor kept here ({error}), as whoever can change one can run code. "
-            "They are compiled instead. Let only yourself write to that file or folder (chown, chmod go-w), or set "
-            "XDG_CACHE_HOME to a folder that only you can write to."
+            "They are compiled instead. Let only yourself write to that place and what it holds (chown, chmod go-w), or "
+            "set XDG_CACHE_HOME to a folder that only you can write to."
         )
     except UNUSABLE:
         pass

@@ -98,33 +98,36 @@ def _folder(module: str, chosen: str) -> Path:
         return folder
     package = Path(sys.modules[module].__file__ or "").parent
     with suppress(OSError):
-        return _looked_at(package / "__pycache__" / name, 2)
-    return _looked_at(cache_home() / "jaxurban" / "numba" / name, 3)
+        return _looked_at(package / "__pycache__", 1, name)
+    return _looked_at(cache_home() / "jaxurban" / "numba", 2, name)
 
 
-def _looked_at(place: Path, num_own: int) -> Path:
-    """Return a closed folder in which Numba finds nothing that another user could have written.
+def _looked_at(above: Path, num_own: int, name: str) -> Path:
+    """Return a folder for machine code that nobody else can change, and in which Numba finds nothing of anybody else.
 
     Numba opens its files by their names, at the first call. From here on nobody but this user and root can write to the
     folder or exchange it (`closed_folder`), so that what is looked at here is what Numba reads then. Where it is empty,
     unused folders beside it are swept.
 
     Args:
-      place, num_own: as of `closed_folder`.
+      above, num_own: the folder that it lies in, as `closed_folder` takes it; errors name this one.
+      name: of the folder.
 
     Raises:
       PermissionError: another user could have written the folder or something in it, or this one may not write.
       OSError: it cannot be made for another reason.
     """
-    folder = closed_folder(place, num_own)
+    folder = closed_folder(above, num_own) / name
+    folder.mkdir(0o700, exist_ok=True)
+    files = [*folder.glob("*/*.nb[ic]")]
+    for found in (folder, *folder.iterdir(), *files):
+        refuse_unsafe(above, found.lstat())
+    if not files:
+        sweep_unused(above)
+    os.utime(folder)
     # Numba writes by the umask, which may let others in; not so in a folder with such a list, if the disk knows lists.
     with suppress(AttributeError, OSError):
         os.setxattr(folder, "system.posix_acl_default", ONLY_OURS)
-    files = [*folder.glob("*/*.nb[ic]")]
-    for found in (*folder.iterdir(), *files):
-        refuse_unsafe(found, found.lstat())
-    if not files:
-        sweep_unused(folder.parent)
     return folder
 
 

@@ -55,6 +55,17 @@ def test_what_another_user_could_have_written_is_not_read_and_that_is_said_once(
     assert ["chmod go-w" in line and str(file.parents[3]) in line for line in lines] == [True]
 
 
+def test_of_many_such_files_in_a_folder_one_line_is_said(file):
+    others = [file.with_name(name) for name in ("second", "third")]
+    for other in others:
+        other.write_bytes(b"whole")
+        other.chmod(0o666)
+    with logged() as lines:
+        assert [content(other) for other in others] == [None, None]
+    assert len(lines) == 1
+    assert content(file) == b"whole"
+
+
 def test_a_link_of_this_user_may_lead_to_the_cache_and_so_may_a_sticky_folder(file):
     home = file.parents[2]
     sticky = home.with_name("sticky")
@@ -79,7 +90,7 @@ def test_nothing_is_made_in_a_folder_of_another_user(tmp_path, mode):
     theirs.mkdir()
     theirs.chmod(mode)
     os.chown(theirs, OTHER, OTHER)
-    with pytest.raises(PermissionError, match="another user's"):
+    with pytest.raises(PermissionError, match="what another user owns"):
         closed_folder(theirs / "home" / "jaxurban" / "programs", NUM_OWN)
     assert everything_in(theirs) == []
 
