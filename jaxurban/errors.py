@@ -1,5 +1,6 @@
 """The exceptions of jaxurban, all under one root."""
 
+import csv
 import inspect
 import os
 import re
@@ -205,14 +206,14 @@ def readable(
       path: of the file.
       kind: what the file should be read as, for the message.
       remedy: ends the message.
-      errors: what a damaged file raises, beside OSError, ValueError and RecursionError (brackets in brackets).
+      errors: what a damaged file raises, beside OSError, ValueError, RecursionError and csv.Error.
       what: name of the file in the message; left out, its path.
 
     Raises:
       InputError: the file is missing, no file, or damaged; one that the block raises passes as it is.
     """
     what = what or repr(str(path))
-    caught: tuple[type[Exception], ...] = (OSError, ValueError, RecursionError, *errors)
+    caught: tuple[type[Exception], ...] = (OSError, ValueError, RecursionError, csv.Error, *errors)
     try:
         check_file(path)
         yield

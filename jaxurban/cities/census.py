@@ -17,6 +17,7 @@ from jaxurban.cities.vector import POLYGONS, open_frame, without_collections
 from jaxurban.errors import InputError, readable
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.sampling import pixel_xy
+from jaxurban.io.tables import read_csv
 from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
 from jaxurban.world.grid import Bounds, projected_crs, transformer
@@ -345,13 +346,12 @@ def _counts_in_table(files: Population, block_keys: pd.Series, wanted: str) -> p
     name = f"[population] table {path!r}"
     # Pandas' parser errors are ValueErrors.
     with readable(path, "CSV", "check the path and the file", what=name):
-        table = pd.read_csv(
+        table = read_csv(
             path,
             dtype=str,
             encoding="utf-8-sig",
             encoding_errors="replace",
             keep_default_na=False,
-            index_col=False,
         )
 
     # Which column holds the ids, and which the counts.

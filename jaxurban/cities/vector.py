@@ -28,6 +28,7 @@ from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.geoparquet import read_geoparquet
 from jaxurban.io.issues import ReadIssue
 from jaxurban.io.sniff import DATABASE, HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
+from jaxurban.io.tables import csv_rows
 from jaxurban.world.extent import extent_of, meets
 from jaxurban.world.grid import MOST_OF_CRS, OPENS_FILE, WGS84, check_on_earth, known_crs
 
@@ -61,6 +62,8 @@ ESCAPE = re.compile(r"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in dig
 BLANKS = re.compile(r"\s+")
 MEMBER = re.compile(r'"crs"\s*:\s*(?=\{)')  # of the GeoJSON of 2008
 LINK = re.compile(r'"type"\s*:\s*"(link|url)"')
+# A value of a table, which may be longer than Python's reader takes.
+IN_QUOTES = re.compile(r'(?<![^,;\t|])"[^"]*"(?![^,;\t|\n])')
 MOST_OF_WORD = 50  # letters of each of these words
 POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
@@ -273,9 +276,22 @@ def _checked_format(path: Path, plain: Path) -> str:
         _check_refers(REFERRING, file.read(HEAD_BYTES).decode("latin-1").lower())
     if kind in (".shp", ".csv"):
         check_companions(plain)
+    if kind == ".csv":
+        _check_rows(plain)
     if kind in (".gpkg", ".sqlite"):
         _check_views(plain)
     return kind
+
+
+def _check_rows(path: Path) -> None:
+    """Raise InputError where a row of a table with WKT does not fit its header."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        marks = set(file.readline()).intersection(",;\t|")
+        file.seek(0)
+        lines = (IN_QUOTES.sub("", line) for line in file)
+        # GDAL takes the separator that the first line has, of several the comma.
+        for _ in csv_rows(lines, path.name, marks.pop() if len(marks) == 1 else ","):
+            pass
 
 
 def _check_views(path: Path) -> None:

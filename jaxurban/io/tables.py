@@ -5,9 +5,10 @@ import hashlib
 import io
 import json
 import math
+import re
 import time
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,16 @@ PARTS_FOLDER = "parts"
 INSTANCES_FILE = "instances.parquet"  # beside the rows of a Monte Carlo benchmark
 SAVE_EVERY_S = 5.0
 SAVING_SHARE = 0.05  # of the time, at most, goes into saving
+# How pandas reads the lines of a file as they stand.
+LINES: dict[str, Any] = {
+    "sep": "\x1f",
+    "names": ["line"],
+    "dtype": str,
+    "quoting": csv.QUOTE_NONE,
+    "na_filter": False,
+    "skip_blank_lines": False,
+    "encoding_errors": "replace",
+}
 SETTINGS = b"settings"  # in the metadata of a Parquet file
 Row = Mapping[str, Any]
 
@@ -84,12 +95,10 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
     what = f"the {role} file {str(file)!r}"
     with readable(file, suffix[1:], "make it again, or name another", *UNPACKING, what=what):
         if suffix == ".parquet":
-            _check_width(len(pq.read_schema(file).names))
+            _check_width(len(pq.read_schema(file).names), str(file))
             table = pd.read_parquet(file)
         else:
-            head = pd.read_csv(file, sep="\x1f", header=None, nrows=1, quoting=csv.QUOTE_NONE)
-            _check_width(str(head.iat[0, 0]).count(",") + 1)
-            table = pd.read_csv(file, dtype=dict.fromkeys(categories, "category"))
+            table = read_csv(file, dtype=dict.fromkeys(categories, "category"))
         for name, column in table.items():
             is_object = pd.api.types.is_object_dtype(column)
             if is_object and not column.map(pd.api.types.is_hashable).all():
@@ -97,10 +106,56 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
         return table
 
 
-def _check_width(num: int) -> None:
-    """Raise ValueError for more columns than are read: many take minutes."""
+def read_csv(file: str | Path, **options: Any) -> pd.DataFrame:
+    """Return the table in a CSV file, packed or not, as pandas reads it with some of its options.
+
+    Raises:
+      InputError, ValueError, csv.Error: as of `csv_rows`, or of pandas.
+    """
+    lines = pd.read_csv(file, **LINES)["line"].tolist()
+    num = max(map(len, csv_rows(lines, str(file))), default=0)
+    return pd.read_csv(file, usecols=range(num), **options)
+
+
+def csv_rows(lines: Iterable[str], name: str, delimiter: str = ",") -> Iterator[list[str]]:
+    """Yield the header and the rows of a CSV file of a name, but for blank rows.
+
+    Values without a name are left out where they are blank, as tools write them that end each row with a comma. A row
+    of one value of several words is a note, and left to the reader.
+
+    Raises:
+      InputError: a row has more or fewer values than the header, or there are no commas or too many columns.
+      csv.Error: a quote without its other one, or a value that is too long.
+    """
+    num = 0
+    reader = csv.reader(lines, delimiter=delimiter, strict=True)
+    for row in reader:
+        if not any(map(str.strip, row)):
+            continue
+        if num == 0:
+            while not row[-1].strip():
+                row.pop()
+            num = len(row)
+            _check_width(num, name)
+            if re.search(r"[;\t]", row[0]):
+                raise InputError(
+                    f"{name!r} must have commas between its values, and points in its numbers"
+                )
+        is_note = len(row) == 1 and " " in row[0].strip()
+        if (len(row) < num and not is_note) or any(map(str.strip, row[num:])):
+            raise InputError(
+                f"line {reader.line_num} of {name!r} and its header differ in their number of values, {len(row)} and "
+                f"{num}: mend that line, or remove it"
+            )
+        yield row[:num]
+
+
+def _check_width(num: int, name: str) -> None:
+    """Raise InputError for more columns, in a file of a name, than are read: many take minutes."""
     if num > MOST_COLUMNS:
-        raise ValueError(f"it has {num:,} columns, {MOST_COLUMNS:,} are read at most")
+        raise InputError(
+            f"{name!r} has {num:,} columns, and {MOST_COLUMNS:,} are read at most: leave some out"
+        )
 
 
 def records_of(table: pd.DataFrame) -> list[dict[str, Any]]:

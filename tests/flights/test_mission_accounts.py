@@ -230,11 +230,11 @@ def test_two_columns_of_one_quantity_agree_or_are_refused(read, header, row):
 
 
 def test_tables_that_do_not_fit_their_header_are_refused_at_once(read):
-    with pytest.raises(ju.InputError, match="and the header 3"):
+    with pytest.raises(ju.InputError, match=r"line 2 of 'm.csv' and its header .* 4 and 3"):
         read("lon,lat,alt\n0,50,40,1\n0.01,50,40,1\n", "m.csv", heights="ground")
     began = time.process_time()
     wide = ",".join(f"c{number}" for number in range(100_000))
-    with pytest.raises(ju.InputError, match="more than 1,000 columns"):
+    with pytest.raises(ju.InputError, match="2,000 are read at most"):
         read(f"lon,lat,alt,{wide}\n0,50,40\n1,50,40\n", "m.csv", heights="ground")
     assert time.process_time() - began < 2
 

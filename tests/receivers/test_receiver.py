@@ -240,5 +240,5 @@ def test_a_table_of_many_columns_is_refused_by_its_first_line(tmp_path):
     row = ",".join(["1"] * 50_000)
     file.write_text(f"{row}\n{row}\n")
     began_s = time.perf_counter()
-    assert_refused(file, "has 50,000 columns, 2,000 are read at most")
+    assert_refused(file, "has 50,000 columns, and 2,000 are read at most")
     assert time.perf_counter() - began_s < 5

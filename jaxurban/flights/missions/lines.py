@@ -3,7 +3,6 @@
 How many positions a file holds is counted apart from the lines that are read, and what they leave over is not judged.
 """
 
-import csv
 import io
 import math
 import re
@@ -36,6 +35,7 @@ from jaxurban.flights.missions.parts import (
     one_value,
 )
 from jaxurban.io.routes import ALTITUDE_PROPERTY
+from jaxurban.io.tables import csv_rows
 
 OWN = "jaxurban"  # what it calls itself as the creator of GPX
 OWN_HEIGHT = re.compile(r"(-?[\d.]+) m above ground")  # of its points there
@@ -73,7 +73,6 @@ FOOT_M = 0.3048
 QUALIFIER = re.compile(r"(units?|mode|frame|datum|system|command)(?![a-z])", re.IGNORECASE)
 HARMLESS = ("", "m", "meter", "meters", "metre", "metres", "wgs84", "wgs 84", "epsg:4326")
 HEIGHTS = ("alt", "height", "elev")  # in names of further columns of height
-MOST_COLUMNS = 1000  # of a table
 # What files call a coordinate reference system, and the names of the one that is read.
 CRS_NAMES = ("crs", "datum", "epsg", "mapdatum", "srs", "srsname")
 WGS84 = re.compile(
@@ -542,10 +541,11 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     far from each point the corner may be cut; their other columns do not change the way.
 
     Raises:
-      InputError: the table lacks one of the three, has two that differ, or names another CRS than WGS 84.
-      ValueError: the table cannot be read, a row has more values than the header, or one that is no number.
+      InputError: the table lacks one of the three, has two that differ, or names another CRS than WGS 84; as of
+        `csv_rows`.
+      ValueError: the table cannot be read, or a row holds what is no number.
     """
-    table = _table_of(data)
+    table = _table_of(path.name, data)
     names = [name for name, _ in table]
     curves, modes = _named(table, [CURVE]), _named(table, [MODE])
     if ABOVE_TAKEOFF in names:
@@ -562,20 +562,13 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
     return [line], len(line.points)
 
 
-def _table_of(data: bytes) -> Table:
-    """Return the columns of a table, a title and cells each; errors as of `csv_lines`.
+def _table_of(name: str, data: bytes) -> Table:
+    """Return the columns of a table, of a file of a name, a title and cells each; errors as of `csv_lines`.
 
     Their names lack the unit, and the number that pandas adds to one that is there twice.
     """
     text = io.StringIO(data.decode("utf-8-sig"), newline=None)
-    header, *rows = filter(None, csv.reader(text, strict=True))
-    if len(header) > MOST_COLUMNS:
-        raise DamagedError(f"it has more than {MOST_COLUMNS:,} columns")
-    if re.search(r"[;\t]", header[0]):
-        raise DamagedError("commas must be between its values, and points in its numbers")
-    for number, row in enumerate(rows, 1):
-        if len(row) > len(header):
-            raise DamagedError(f"row {number} has {len(row)} values, and the header {len(header)}")
+    header, *rows = csv_rows(text, name)
     names = [re.sub(r"\.\d+$", "", UNIT.sub("", title.strip().lower())) for title in header]
     return [*zip(names, zip_longest(header, *rows, fillvalue=""), strict=True)]
 
