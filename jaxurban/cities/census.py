@@ -17,7 +17,7 @@ from jaxurban.cities.vector import POLYGONS, open_frame, without_collections
 from jaxurban.errors import InputError, readable
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.sampling import pixel_xy
-from jaxurban.io.tables import read_csv
+from jaxurban.io.tables import check_rows
 from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
 from jaxurban.world.grid import Bounds, projected_crs, transformer
@@ -346,8 +346,9 @@ def _counts_in_table(files: Population, block_keys: pd.Series, wanted: str) -> p
     name = f"[population] table {path!r}"
     # Pandas' parser errors are ValueErrors.
     with readable(path, "CSV", "check the path and the file", what=name):
-        table = read_csv(
+        table = pd.read_csv(
             path,
+            usecols=range(check_rows(Path(path), path)),
             dtype=str,
             encoding="utf-8-sig",
             encoding_errors="replace",

@@ -28,7 +28,7 @@ from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.geoparquet import read_geoparquet
 from jaxurban.io.issues import ReadIssue
 from jaxurban.io.sniff import DATABASE, HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
-from jaxurban.io.tables import csv_rows
+from jaxurban.io.tables import check_rows
 from jaxurban.world.extent import extent_of, meets
 from jaxurban.world.grid import MOST_OF_CRS, OPENS_FILE, WGS84, check_on_earth, known_crs
 
@@ -62,8 +62,6 @@ ESCAPE = re.compile(r"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in dig
 BLANKS = re.compile(r"\s+")
 MEMBER = re.compile(r'"crs"\s*:\s*(?=\{)')  # of the GeoJSON of 2008
 LINK = re.compile(r'"type"\s*:\s*"(link|url)"')
-# A value of a table, which may be longer than Python's reader takes.
-IN_QUOTES = re.compile(r'(?<![^,;\t|])"[^"]*"(?![^,;\t|\n])')
 MOST_OF_WORD = 50  # letters of each of these words
 POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
@@ -154,7 +152,7 @@ def _alone() -> Iterator[None]:
 
 def _every_layer(path: Path, kind: str) -> list[pd.DataFrame]:
     """Return the features of each layer of a file, unpacked, of a format; a ring of too few points is an error."""
-    source = DRIVERS.get(kind, "") + str(path)
+    source = (DRIVERS | {".geojson": "GeoJSON:"}).get(kind, "") + str(path)
     options = OPTIONS | {"on_invalid": "raise"} | (CSV_OPTIONS if kind == ".csv" else {})
     return [_features(source, layer, options) for layer, _ in pyogrio.list_layers(source)]
 
@@ -258,7 +256,7 @@ def _checked_format(path: Path, plain: Path) -> str:
         return kind
     if kind not in FORMATS:
         suffix = path.suffix.lower()
-        if not kind and suffix == ".csv":
+        if kind == ".txt" or (not kind and suffix == ".csv"):
             raise InputError(
                 f"{str(path)!r} is a table without shapes, as it has no column {WKT_COLUMNS.replace(',', ' or ')} of "
                 "WKT: if columns are longitude and latitude, make points of it with `ogr2ogr -a_srs EPSG:4326 -oo "
@@ -277,21 +275,10 @@ def _checked_format(path: Path, plain: Path) -> str:
     if kind in (".shp", ".csv"):
         check_companions(plain)
     if kind == ".csv":
-        _check_rows(plain)
+        check_rows(plain, path.name)
     if kind in (".gpkg", ".sqlite"):
         _check_views(plain)
     return kind
-
-
-def _check_rows(path: Path) -> None:
-    """Raise InputError where a row of a table with WKT does not fit its header."""
-    with path.open(encoding="utf-8", errors="replace") as file:
-        marks = set(file.readline()).intersection(",;\t|")
-        file.seek(0)
-        lines = (IN_QUOTES.sub("", line) for line in file)
-        # GDAL takes the separator that the first line has, of several the comma.
-        for _ in csv_rows(lines, path.name, marks.pop() if len(marks) == 1 else ","):
-            pass
 
 
 def _check_views(path: Path) -> None:

@@ -28,7 +28,7 @@ from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
 from jaxurban.flights.missions.parts import GEOD
 from jaxurban.io.broken import BROKEN
-from jaxurban.io.sniff import unpacked
+from jaxurban.io.sniff import sniff, unpacked
 from jaxurban.io.tables import is_blank
 from jaxurban.io.zone import TURN, Zone, made_valid
 
@@ -69,7 +69,7 @@ UNITS_READ = (
     "abovegroundlevel",
 )
 ROLE = "no-fly"
-GEOZONE_SUFFIXES = (".json", ".geojson")
+GEOZONE_FORMATS = (".geojson", ".geojsonl")  # of `sniff`
 GEOZONE = re.compile(
     r'"(horizontalProjection|limitedApplicability|(lower|upper)Reference)"|"extent"\s*:\s*\{'
 )
@@ -311,10 +311,10 @@ def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:
 def _geozones(path: Path) -> list[Json] | None:
     """Return the features of a file of ED-269 or ED-318 as JSON holds them, None of any other file.
 
-    Such a file is known by its suffix and by the words that only these formats have; one that cannot be read is left to
+    Such a file is JSON, and known by the words that only these formats have; one that cannot be read is left to
     the reader of vector files.
     """
-    if path.suffix.lower() not in GEOZONE_SUFFIXES:
+    if sniff(path) not in GEOZONE_FORMATS:
         return None
     try:
         check_file(path)

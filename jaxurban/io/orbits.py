@@ -1,5 +1,6 @@
 """Orbits: element sets from files, or the nominal constellation, to look angles."""
 
+import csv
 import io
 import json
 import math
@@ -21,7 +22,7 @@ from jaxurban.io.ephemerides import Ephemeris, read_ephemerides, timescale, utc_
 from jaxurban.io.nominal import GPS, MARK, nominal_satellites
 from jaxurban.io.samples import located
 from jaxurban.io.sniff import sniff, unpacked
-from jaxurban.io.tables import csv_rows
+from jaxurban.io.tables import check_rows
 from jaxurban.settings import NOMINAL, iso_utc, parse_time
 from jaxurban.world.sky import Sky
 
@@ -184,8 +185,8 @@ def _read_file(source: str) -> Sequence[EarthSatellite | Ephemeris]:
         if text.startswith(("{", "[")):
             messages = json.loads(text)
         elif "MEAN_MOTION" in header and "," in header:
-            names, *rows = csv_rows(io.StringIO(text), path.name)
-            messages = [dict(zip(names, row, strict=False)) for row in rows]
+            check_rows(io.BytesIO(data), path.name)
+            messages = list(csv.DictReader(io.StringIO(text)))
     listed = [messages] if isinstance(messages, dict) else messages
     satellites = _from_tles(text, source) if listed is None else _from_omms(listed, source)
     if not satellites:

@@ -34,6 +34,7 @@ _ROOT = rb"<[<\s]*(?:[\w.-]+:)?"
 # A table with a column of WKT.
 _TABLE = rb"(?i:[^\r\n\0]*\b(?:%s)\b[^\r\n]*[\r\n].*" % WKT_COLUMNS.replace(",", "|").encode()
 _ARCHIVE = "an archive: unpack it with `%s FILE`, and name the file that was in it"
+_INAV = "a mission of INAV: make KML of it with `mission2kml -home LAT,LON,ALT FILE > mission.kml` of bbl2kml"
 # How a file begins: the suffix that such files bear, or what it is and the line that helps.
 FORMATS = {
     rb"PAR1": ".parquet",
@@ -46,6 +47,9 @@ FORMATS = {
     rb"7z\xbc\xaf\x27\x1c": _ARCHIVE % "7z x",
     rb".{257}ustar": _ARCHIVE % "tar -xf",
     rb"LASF.{98}\0\0": LIDAR,  # one with 65,536 records or more is damaged, and laspy would not come to their end
+    rb"ULog\x01\x12\x35": ".ulg",
+    rb"\xa3\x95|FMT, ?128|\0[\4-\7].{6}[\xfd\xfe]": "a log of ArduPilot: make GPX of it with "
+    "`TZ=UTC mavtogpx.py FILE` of pymavlink",
     rb"\x1f\x9d": "a file of Unix compress: unpack it with `gzip -dS .Z FILE`, and name the file that was in it",
     rb"\xb5b": "UBX of a u-blox receiver: make RINEX of it with `convbin -r ubx FILE`",
     rb"% (?:program|obs|inp)": "a solution of RTKLIB: write it in UTC (`rnx2rtkp -u`), and make a table with `awk "
@@ -54,14 +58,20 @@ FORMATS = {
     rb"\d+ +\S+\.(?i:alm|al3)?\s*\n *\d+ +\d+\s*\n": "a SEM almanac: give broadcast RINEX or SP3 of "
     "that day, which igs.bkg.bund.de holds",
     rb"\*+ *Week +\d+ +almanac": "a YUMA almanac: give broadcast RINEX or SP3 of that day, which igs.bkg.bund.de holds",
+    rb"(?:#[^\n]*\s)*QGC WPL": ".waypoints",
     rb"[<\s]*<!DOCTYPE": "XML with a DOCTYPE, which is never read: remove it from the file",
     _ROOT + rb"osm\b": ".osm",
     _ROOT + rb"osmChange\b": "a list of changes to OpenStreetMap: apply it to a whole extract with "
     "`osmium apply-changes -o changed.osm.pbf EXTRACT FILE`",
     rb"\xff\xfe|\xfe\xff": "text in UTF-16: make UTF-8 of it with `iconv -f UTF-16 -t UTF-8 FILE > FILE.utf8`",
+    # Waylines of DJI; a template of them is KML that no drone flies.
+    _ROOT + rb"kml\b[^>]*/wpmz/(?!.*templateType)": ".wpml",
     _ROOT + rb"kml\b": ".kml",
     _ROOT + rb"gpx\b": ".gpx",
     _ROOT + rb"CityModel\b": ".gml",
+    rb"(?i:%smission\b)" % _ROOT: _INAV,
+    _JSON + rb'"mission"\s*:\s*\[': _INAV,
+    _JSON + rb'"(?:fileType|groundStation|geoFence|rallyPoints|mission"\s*:\s*\{)': ".plan",
     rb"(?i:<[<\s]*html\b)": "a web page: fetch the file again, and look at what the server says",
     _JSON + rb'"City(?:JSON|JSONFeature|Objects)"': ".city.json",
     _JSON + rb'"(?:osm3s|elements)"\s*:': ".osm.json",
@@ -71,6 +81,7 @@ FORMATS = {
     _TABLE + rb"\bSRID=\d+;)": "a table of EWKT: make WKT of it with "
     "`sed -E 's/SRID=[0-9]+;//' FILE > wkt.csv` if its coordinates are longitude and latitude",
     _TABLE + rb"(?:POLYGON|SURFACE)\b)": ".csv",
+    rb"(?i:(?=[^\r\n]*,)[^\r\n\0]*\blat)": ".txt",
 }
 
 
@@ -98,13 +109,16 @@ def in_own_words(*errors: type[Exception]) -> Iterator[None]:
         raise ValueError("it is damaged or cut short, or holds what is not read") from error
 
 
-def sniff(path: str | Path) -> str:
+def sniff(path: str | Path, data: bytes | None = None) -> str:
     """Return the suffix that files with such content bear, of a packed file that of what is in it.
+
+    Bytes that are given count in place of the file's, of which the name alone is then looked at.
 
     It is one of ``.osm``, ``.pbf`` and ``.osm.json`` (OpenStreetMap), ``.geojson``, ``.geojsonl`` (one feature a
     line), ``.csv`` (with outlines as WKT), ``.fgb``, ``.gpkg``, ``.parquet``, ``.shp``, ``.kml``, ``.gpx``, ``.gml``
     (CityGML), ``.city.json`` (CityJSON, in lines too), ``.sqlite`` (SpatiaLite), ``.gdb`` (Esri's folder, packed as
-    ``.gdb.zip`` or not), ``.laz`` (lidar points, of LAS and COPC too) and ``.zip``; empty for any other content.
+    ``.gdb.zip`` or not), ``.laz`` (lidar points, of LAS and COPC too), ``.plan``, ``.waypoints``, ``.wpml``, ``.ulg``,
+    ``.txt`` (a table of places) and ``.zip``; empty for any other content.
 
     Raises:
       InputError: no such file, a packed one that is damaged, or a format that is known and not read; the message
@@ -115,13 +129,14 @@ def sniff(path: str | Path) -> str:
         return DATABASE
     if path.is_dir():
         return ""
-    with (
-        readable(path, "a file", "fetch it again"),
-        in_own_words(*UNPACKING),
-        (_opener(path) or open)(path, "rb") as file,
-    ):
-        head = file.read(HEAD_BYTES)
-    text = PROLOG.sub(b"<", head.lstrip(BEFORE))
+    if data is None:
+        with (
+            readable(path, "a file", "fetch it again"),
+            in_own_words(*UNPACKING),
+            (_opener(path) or open)(path, "rb") as file,
+        ):
+            data = file.read(HEAD_BYTES)
+    text = PROLOG.sub(b"<", data[:HEAD_BYTES].lstrip(BEFORE))
     for beginning, what in FORMATS.items():
         if re.match(beginning, text, re.DOTALL):
             if not what.startswith("."):

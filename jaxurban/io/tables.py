@@ -5,10 +5,9 @@ import hashlib
 import io
 import json
 import math
-import re
 import time
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +28,10 @@ from jaxurban.io.files import (
     write_json,
     write_whole,
 )
+from jaxurban.io.sniff import sniff, unpacked
 
 SUFFIXES = (".parquet", ".csv")
-PACKED = (".gz", ".bz2", ".xz", ".zip", ".zst")  # behind .csv: what pandas unpacks
+TABLES = ("", ".txt", ".csv", ".parquet", ".zip")  # of `sniff`
 MOST_COLUMNS = 2000
 ROWS_FILE = "rows.parquet"
 PARTS_FOLDER = "parts"
@@ -82,23 +82,28 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
     """Return the table in a file.
 
     Args:
-      file: a .parquet or .csv file, the latter also compressed, as .csv.gz.
+      file: Parquet or CSV, as its content says; CSV also packed, as .csv.gz.
       role: what it holds, for messages.
       categories: columns of a CSV file that repeat texts in many rows: they come as categories, which take less room.
 
     Raises:
-      InputError: no such file, a name of another format, a file that cannot be read, or a column of lists or tables.
+      InputError: no such file, another format, a file that cannot be read, or a column of lists or tables.
     """
-    file = Path(file)
-    is_packed = file.suffix.lower() in PACKED
-    suffix = _suffix(file.with_suffix("") if is_packed else file)
+    if not is_table(file):
+        raise InputError(f"{str(file)!r} is no table: give CSV or Parquet")
+    kind = "parquet" if sniff(file) == ".parquet" else "csv"
     what = f"the {role} file {str(file)!r}"
-    with readable(file, suffix[1:], "make it again, or name another", *UNPACKING, what=what):
-        if suffix == ".parquet":
-            _check_width(len(pq.read_schema(file).names), str(file))
-            table = pd.read_parquet(file)
+    with (
+        readable(file, kind, "make it again, or name another", *UNPACKING, what=what),
+        unpacked(file) as plain,
+    ):
+        if kind == "parquet":
+            _check_width(len(pq.read_schema(plain).names), str(file))
+            table = pd.read_parquet(plain)
         else:
-            table = read_csv(file, dtype=dict.fromkeys(categories, "category"))
+            columns = range(check_rows(plain, str(file)))
+            kinds = dict.fromkeys(categories, "category")
+            table = pd.read_csv(plain, usecols=columns, dtype=kinds)
         for name, column in table.items():
             is_object = pd.api.types.is_object_dtype(column)
             if is_object and not column.map(pd.api.types.is_hashable).all():
@@ -106,48 +111,44 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
         return table
 
 
-def read_csv(file: str | Path, **options: Any) -> pd.DataFrame:
-    """Return the table in a CSV file, packed or not, as pandas reads it with some of its options.
+def is_table(file: str | Path) -> bool:
+    """Return whether a file is Parquet or no other format that is known (`sniff`), as CSV has no mark."""
+    return sniff(file) in TABLES
+
+
+def check_rows(source: Path | io.BytesIO, name: str) -> int:
+    """Return how many columns a CSV file has, each of whose rows fits its header.
+
+    Between its values is the mark of its first line, of several the comma. Blank lines do not matter, nor do blank
+    values beyond the header, which tools write that end each row with a comma, nor notes: rows of one value of several
+    words. Lines of more letters than a value may have are not looked at.
+
+    Args:
+      source: the file, which pandas unpacks by its name.
+      name: of the file.
 
     Raises:
-      InputError, ValueError, csv.Error: as of `csv_rows`, or of pandas.
+      InputError: a row has more or fewer values than the header, or there are too many columns.
+      ValueError, csv.Error: no line, or a quote without its other one.
     """
-    lines = pd.read_csv(file, **LINES)["line"].tolist()
-    num = max(map(len, csv_rows(lines, str(file))), default=0)
-    return pd.read_csv(file, usecols=range(num), **options)
-
-
-def csv_rows(lines: Iterable[str], name: str, delimiter: str = ",") -> Iterator[list[str]]:
-    """Yield the header and the rows of a CSV file of a name, but for blank rows.
-
-    Values without a name are left out where they are blank, as tools write them that end each row with a comma. A row
-    of one value of several words is a note, and left to the reader.
-
-    Raises:
-      InputError: a row has more or fewer values than the header, or there are no commas or too many columns.
-      csv.Error: a quote without its other one, or a value that is too long.
-    """
-    num = 0
-    reader = csv.reader(lines, delimiter=delimiter, strict=True)
-    for row in reader:
-        if not any(map(str.strip, row)):
-            continue
-        if num == 0:
-            while not row[-1].strip():
-                row.pop()
-            num = len(row)
-            _check_width(num, name)
-            if re.search(r"[;\t]", row[0]):
-                raise InputError(
-                    f"{name!r} must have commas between its values, and points in its numbers"
-                )
-        is_note = len(row) == 1 and " " in row[0].strip()
-        if (len(row) < num and not is_note) or any(map(str.strip, row[num:])):
+    whole = pd.read_csv(source, **LINES)["line"].tolist()
+    header = "".join(whole[:1])
+    marks = set(header).intersection(",;\t|")
+    mark = marks.pop() if len(marks) == 1 else ","
+    _check_width(header.count(mark) + 1, name)
+    lines = (line for line in whole if len(line) < csv.field_size_limit())
+    reader = csv.reader(lines, delimiter=mark, strict=True)
+    rows = filter(None, reader)
+    num = len(next(rows, []))
+    for row in rows:
+        is_note = len(row) == 1 and " " in row[0]
+        has_more = "".join(row[num:]).strip()
+        if has_more or (len(row) < num and not is_note):
             raise InputError(
                 f"line {reader.line_num} of {name!r} and its header differ in their number of values, {len(row)} and "
                 f"{num}: mend that line, or remove it"
             )
-        yield row[:num]
+    return num
 
 
 def _check_width(num: int, name: str) -> None:

@@ -49,7 +49,6 @@ OF_REFERENCE = RULES | {
     WEEK: Rule(1024.0, 10_000.0),  # not modulo 1024
     TOW: Rule(0.0, WEEK_S),
 }
-TABLES = re.compile(r"\.(csv|parquet)\b", re.IGNORECASE)
 EVENTS = 2  # an epoch with this flag or a higher one marks an event and holds no observation
 SENTENCE = re.compile(r"\$([A-Z]{2})(RMC|GGA|GNS|GLL|GSV),([^*$\r\n]*)\*?(\w{0,2})", re.ASCII)
 # Sentences that say that there is no fix: status V, and the modes none, estimated, by hand and simulated.
@@ -91,7 +90,7 @@ def read_log(
     """Return what a receiver wrote itself: RINEX observations 2 to 4, CRINEX, NMEA or GnssLogger, plain or as .gz.
 
     Args:
-      file: of the log; its content decides what it is, but .csv and .parquet are tables.
+      file: of the log; its content decides what it is.
       reference: places of the antenna, see `read_reference`; left out, those of the file: fixes of NMEA and GnssLogger,
         of RINEX the approximate position of its header.
 
@@ -109,9 +108,8 @@ def read_log(
         reference; RINEX without sidereon.
     """
     path = located(file)
-    if TABLES.search(path.name):
+    if sniff(path) in (".txt", ".parquet"):
         return None
-    sniff(path)
     what = f"the receiver log {str(file)!r}"
     with (
         readable(path, "a log", "convert or download it again", LookupError, TypeError, what=what),

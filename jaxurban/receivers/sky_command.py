@@ -143,10 +143,10 @@ def _way_along(
       UsageError: a time or a speed that such a file does not take, or that is missing.
     """
     from jaxurban.io.routes import read_routes
-    from jaxurban.io.tables import SUFFIXES
+    from jaxurban.io.tables import is_table
     from jaxurban.io.tracks import read_track
 
-    if logged is not None or track.suffix.lower() in SUFFIXES:
+    if logged is not None or is_table(track):
         if times or speed_m_s is not None:
             raise click.UsageError("a table has its own times: leave --time and --speed out")
         places = read_track(track) if logged is None else logged

@@ -12,7 +12,7 @@ import pandas as pd
 from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError, OtherSettingsWarning, SkippedRouteWarning, warn
 from jaxurban.io.routes import Route, read_routes
-from jaxurban.io.tables import SUFFIXES, Row, read_table, records_of
+from jaxurban.io.tables import Row, is_table, read_table, records_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.weights import Weights, weights_on
 from jaxurban.paths.choices import RulesChoice
@@ -102,7 +102,7 @@ def demonstrations(
     source = "the routes"
     if isinstance(routes, str | Path):
         source = repr(str(routes))
-        if Path(routes).suffix.lower() in SUFFIXES:
+        if is_table(routes):
             routes = read_table(routes, "instances")
 
     # A table is planned; all else are lines.

@@ -119,7 +119,7 @@ def test_info_says_what_orbits_need_whose_reader_is_not_installed(capsys, tmp_pa
     ("name", "content", "words"),
     [
         ("a.plan", json.dumps({**PLAN, "mission": {}}), ("a.plan", "as a mission", "items are no")),
-        ("a.tlog", "\x00\x01", ("a.tlog", "a log of ArduPilot: make GPX of it")),
+        ("a.log", "FMT, 128, 89, FMT", ("a.log", "a log of ArduPilot: make GPX of it")),
         ("a.toml", "[region\n", ("a.toml", "a scenario in TOML")),
         ("a.doc", "Dear Sir", ("a.doc", "no content that is known: buildings are read from")),
         ("a.geojson", '{"type": "Feature"', ("a.geojson", "as a vector file")),

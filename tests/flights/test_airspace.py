@@ -216,6 +216,14 @@ def test_what_is_no_polygon_is_unknown_and_told(file):
     assert zones[3].polygon.equals(SQUARE)
 
 
+@pytest.mark.parametrize("name", ["z.geojson", "z.txt", "z.kml", "z", "z.ed269"])
+def test_geographical_zones_and_geojson_are_known_by_their_content(tmp_path, name):
+    ed269(tmp_path / name, zone(polygon(**agl(0, 120))))
+    assert [each.ceiling_m for each in read_zones(tmp_path / name)] == [120]
+    write_features(tmp_path / name, (SQUARE, {"ceiling_m": 50}))
+    assert [each.ceiling_m for each in read_zones(tmp_path / name)] == [50]
+
+
 @pytest.mark.parametrize("is_ed269", [False, True])
 def test_an_outline_that_crosses_itself_closes_all_that_it_encloses(file, is_ed269):
     if is_ed269:

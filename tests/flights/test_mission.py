@@ -420,6 +420,30 @@ CSV = f"lat,lon,alt\n{LAT},{LON},40\n{LAT},8.55,45\n"
 LINES = {"m.kml": kml(), "m.gpx": GPX, "m.geojson": json.dumps(GEOJSON), "m.csv": CSV}
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        json.dumps(plan_of([item(TAKEOFF), item(at=1)])),
+        json.dumps(dict(reversed(plan_of([item(TAKEOFF), item(at=1)]).items()))),
+        json.dumps(plan_of([item(TAKEOFF), item(at=1)])).encode("utf-16"),
+        waypoints_of((22, 3, NONE, LAT, LON, 9), (16, 3, NONE, LAT, 9.0, 9)),
+        kml("absolute"),
+        "<?xml version='1.0'?>\n<!-- by hand -->\n" + GPX,
+        json.dumps(GEOJSON),
+        CSV,
+    ],
+)
+def test_a_mission_is_what_its_content_says_whatever_its_name(read, content):
+    names = [f"m{suffix}" for suffix in ("", ".json", ".txt", ".xml", ".csv", ".plan", ".kmz")]
+    if not isinstance(content, str):  # UTF-16, which tables of bytes do not know
+        names = ["m.json", "m.plan"]
+    takes_heights = "fileType" not in str(content) and "QGC" not in str(content)
+    heights = "geoid" if takes_heights and isinstance(content, str) else None
+    missions = [read(content, name, heights=heights) for name in names]
+    assert len(missions[0].legs) >= 1
+    assert all(mission.legs == missions[0].legs for mission in missions)
+
+
 @pytest.mark.parametrize("name", LINES)
 def test_heights_whose_datum_a_format_leaves_open_are_asked_for(read, name):
     with pytest.raises(ju.InputError, match="give heights as 'home', 'ground', 'geoid' or 'ellip"):

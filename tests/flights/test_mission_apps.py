@@ -15,6 +15,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.flights.missions.mission import read_flight, read_mission
 from jaxurban.flights.missions.parts import GEOD
+from jaxurban.io.tables import is_table
 from jaxurban.io.tracks import read_track
 from tests.flights.missions.apps import CURVE, CUT, HEAD, STOP, elements
 from tests.flights.missions.trial import APPS, Court, make_maps
@@ -356,6 +357,29 @@ def test_flights_with_times_are_tracks(tmp_path, name, content):
     assert str(track["utc"].iloc[0]) == "2026-01-05 10:00:00+00:00"
 
 
+def test_waylines_are_known_packed_or_not_under_any_name_and_their_template_too(read):
+    text = wpml(wayline(30, 40))
+    for name in ("m.wpml", "m.kml", "m.xml", "m.txt", "m"):
+        assert ways(read(text, name)) == ways(read(text))
+    for name in ("m.kmz", "m.zip", "m.kml", "m"):
+        assert ways(read(kmz(waylines_wpml=text), name)) == ways(read(text))
+    template = text.replace("<Folder>", "<Folder><wpml:templateType>waypoint</wpml:templateType>")
+    for name in ("template.kml", "m.wpml"):
+        with pytest.raises(ju.InputError, match="DJI's template, which no drone flies"):
+            read(template, name)
+
+
+def test_a_flight_is_known_by_its_content_under_any_name(tmp_path):
+    tables = {name: (AIRDATA, read_track) for name in ("f.txt", "f.dat", "f")}
+    flights = {name: (GPX, read_flight) for name in ("f.xml", "f.csv", "g")}
+    logs = {name: (ulog(*FIXES), read_flight) for name in ("f.log", "f.bin", "u")}
+    for name, (content, read) in (tables | flights | logs).items():
+        file = tmp_path / name
+        file.write_bytes(content if isinstance(content, bytes) else content.encode())
+        assert is_table(file) == (read is read_track)
+        np.testing.assert_allclose(read(file)["lat_deg"], [47, 47.001], atol=1e-7)
+
+
 def test_a_flight_without_all_of_its_times_is_refused(tmp_path):
     file = tmp_path / "f.gpx"
     file.write_text(GPX.replace("<time>2026-01-05T10:00:04Z</time>", ""))
@@ -392,11 +416,17 @@ def test_a_ulog_that_is_cut_or_damaged_is_no_shorter_flight(read):
             read(whole[:at] + byte + whole[at + 1 :], "f.ulg")
 
 
-@pytest.mark.parametrize("name", ["flight.BIN", "flight.log", "flight.tlog"])
-def test_logs_of_ardupilot_are_named_with_their_converter(tmp_path, name):
-    for reading in (read_mission, read_flight):
-        with pytest.raises(ju.InputError, match=r"`TZ=UTC mavtogpx\.py FILE` of pymavlink"):
-            reading(tmp_path / name)
+@pytest.mark.parametrize(
+    "head",
+    [b"\xa3\x95\x80\x80\x59FMT", b"FMT, 128, 89, FMT", struct.pack(">Q", 17 * 10**14) + b"\xfd\t"],
+)
+def test_logs_of_ardupilot_are_named_with_their_converter(tmp_path, head):
+    for name in ("flight.BIN", "flight.txt", "flight"):
+        file = tmp_path / name
+        file.write_bytes(head + bytes(20))
+        for reading in (read_mission, read_flight):
+            with pytest.raises(ju.InputError, match=r"`TZ=UTC mavtogpx\.py .*` of pymavlink"):
+                reading(file)
 
 
 def test_damaged_files_of_apps_are_refused_in_one_sentence_or_read(read):

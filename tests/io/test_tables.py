@@ -1,6 +1,7 @@
 """Tables of CSV, whichever reader takes them: a row that does not fit its header is refused with its line."""
 
 import gzip
+import io
 import re
 
 import pandas as pd
@@ -11,7 +12,7 @@ from jaxurban.cities.census import _counts_in_table
 from jaxurban.cities.vector import open_frame
 from jaxurban.flights.missions.mission import read_mission
 from jaxurban.io.orbits import read_orbits
-from jaxurban.io.tables import csv_rows, read_table
+from jaxurban.io.tables import check_rows, read_table
 from jaxurban.io.tracks import read_track
 from jaxurban.receivers.validation.logs import read_receiver_log
 
@@ -104,20 +105,22 @@ def test_commas_at_the_end_and_blank_lines_change_nothing(table):
         [header, f"{one},", f"{two},", f"{three},"],
         [header, one, f"{two},,,", three],
         [f"{header},", f"{one},", f"{two},", f"{three},"],
-        [f"{header},", one, two, three],
         [header, one, "", two, three, "", ""],
     ):
         assert read(*lines) == plain
 
 
-def test_a_note_of_several_words_below_the_rows_of_a_census_is_of_no_block():
-    rows = csv_rows(["GEOID10,POP10", "101,5", "Source: the census"], "people.csv")
-    assert list(rows)[-1] == ["Source: the census"]
+def test_a_note_below_the_rows_of_a_census_is_of_no_block(tmp_path):
+    file = tmp_path / "people.csv"
+    file.write_text("GEOID10,NAME,POP10\n101,a,10\n   \nSource: the census\n")
+    assert READERS["census"][0](file)[0] == 10
 
 
 def test_a_value_in_quotes_may_hold_commas_quotes_and_lines():
-    lines = ["a,b", '"1, 2","3 ""4""', '5"', '"6",7']
-    assert [len(row) for row in csv_rows(lines, "a.csv")] == [2, 2, 2]
+    rows = b'a,b\n"1, 2","3 ""4""\n5"\n"6",7\n'
+    assert check_rows(io.BytesIO(rows), "a.csv") == 2
+    with pytest.raises(ju.InputError, match=r"line 5 of 'a.csv' .* 1 and 2: mend that line"):
+        check_rows(io.BytesIO(rows + b"8\n"), "a.csv")
 
 
 def test_outlines_of_any_length_and_any_separator_are_read(tmp_path):
@@ -128,8 +131,8 @@ def test_outlines_of_any_length_and_any_separator_are_read(tmp_path):
     for mark in ",;\t|":
         file.write_text(f"WKT{mark}height\n{ring}{mark}5.5\n{ring}{mark}6.5\n")
         assert open_frame(file, "buildings")["height"].tolist() == ["5.5", "6.5"]
-        file.write_text(f"WKT{mark}height\n{ring}{mark}5.5\n{ring}{mark}6.5{mark}7\n")
-        with pytest.raises(ju.InputError, match=r"line 3 of 'long.csv' and its header"):
+        file.write_text(f'WKT{mark}height\n"{SQUARE.format(1)}"{mark}6.5{mark}7\n')
+        with pytest.raises(ju.InputError, match=r"line 2 of 'long.csv' and its header"):
             open_frame(file, "buildings")
 
 
@@ -138,3 +141,15 @@ def test_rows_of_a_packed_table_are_looked_at_too(tmp_path):
     file.write_bytes(gzip.compress(b"a,b\n1,2\n3\n"))
     with pytest.raises(ju.InputError, match=r"line 3 of .* and its header differ .*, 1 and 2"):
         read_table(file, "instances")
+
+
+def test_a_table_is_known_by_its_content_under_any_name(tmp_path):
+    frame = pd.DataFrame({"a": [1, 2], "b": [3, 4]})
+    text = frame.to_csv(index=False).encode()
+    for name in ("t.csv", "t.parquet", "t.txt", "t.dat", "t"):
+        for content in (text, gzip.compress(text), frame.to_parquet()):
+            (tmp_path / name).write_bytes(content)
+            pd.testing.assert_frame_equal(read_table(tmp_path / name, "instances"), frame)
+    (tmp_path / "t.csv").write_text('{"type": "FeatureCollection", "features": []}')
+    with pytest.raises(ju.InputError, match="is no table: give CSV or Parquet"):
+        read_table(tmp_path / "t.csv", "instances")

@@ -224,11 +224,7 @@ def test_a_truncated_or_empty_file_is_one_sentence(suffix, tmp_path):
     whole = file.read_bytes()
     for data in (whole[: len(whole) // 2], b"", b"no log", gzip.compress(b"")):
         file.write_bytes(data)
-        assert_refused(
-            file,
-            f"the receiver log file '{file}' cannot be read as",
-            "make it again, or name another",
-        )
+        assert_refused(file, str(file))
 
 
 def test_digits_of_other_scripts_are_no_name_of_a_satellite():

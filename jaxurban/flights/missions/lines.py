@@ -3,6 +3,7 @@
 How many positions a file holds is counted apart from the lines that are read, and what they leave over is not judged.
 """
 
+import csv
 import io
 import math
 import re
@@ -35,12 +36,11 @@ from jaxurban.flights.missions.parts import (
     one_value,
 )
 from jaxurban.io.routes import ALTITUDE_PROPERTY
-from jaxurban.io.tables import csv_rows
+from jaxurban.io.tables import check_rows
 
 OWN = "jaxurban"  # what it calls itself as the creator of GPX
 OWN_HEIGHT = re.compile(r"(-?[\d.]+) m above ground")  # of its points there
 OWN_DATA = "height_reference"  # that its lines in KML have
-INAV = "a mission of INAV: make KML of it with `mission2kml -home LAT,LON,ALT FILE > mission.kml` of bbl2kml"
 DJI_TEMPLATE = "templateType"  # element of the KML from which DJI's programs make waylines
 XML_OTHERS = ("Point", "Polygon", "LinearRing", "Model", "GroundOverlay", "NetworkLink", "Tour")
 KML_MODES: dict[str, Datum] = {"relativeToGround": "ground", "absolute": "geoid"}
@@ -460,13 +460,11 @@ def geojson_lines(path: Path, data: bytes) -> Shapes:
     property ``z_m``.
 
     Raises:
-      InputError: the file names another coordinate reference system than WGS 84, or is a mission of INAV.
+      InputError: the file names another coordinate reference system than WGS 84.
       ValueError: the file cannot be read, a coordinate is not a number, a point has two heights, or ``z_m`` has another
         length than its line.
     """
     whole = json_of(data)
-    if isinstance(whole, dict) and isinstance(whole.get("mission"), list):
-        raise InputError(f"{path.name!r} is {INAV}")
     lines: list[Line] = []
     stack: list[tuple[Any, dict[str, Any]]] = [(whole, {})]  # with the properties of its feature
     while stack:
@@ -542,7 +540,7 @@ def csv_lines(path: Path, data: bytes) -> Shapes:
 
     Raises:
       InputError: the table lacks one of the three, has two that differ, or names another CRS than WGS 84; as of
-        `csv_rows`.
+        `check_rows`.
       ValueError: the table cannot be read, or a row holds what is no number.
     """
     table = _table_of(path.name, data)
@@ -568,9 +566,12 @@ def _table_of(name: str, data: bytes) -> Table:
     Their names lack the unit, and the number that pandas adds to one that is there twice.
     """
     text = io.StringIO(data.decode("utf-8-sig"), newline=None)
-    header, *rows = csv_rows(text, name)
+    header, *rows = filter(None, csv.reader(text, strict=True))
+    if re.search(r"[;\t]", header[0]):
+        raise DamagedError("commas must be between its values, and points in its numbers")
+    check_rows(io.BytesIO(data), name)
     names = [re.sub(r"\.\d+$", "", UNIT.sub("", title.strip().lower())) for title in header]
-    return [*zip(names, zip_longest(header, *rows, fillvalue=""), strict=True)]
+    return [*zip(names, zip_longest(header, *rows, fillvalue=""), strict=False)]
 
 
 def _named(table: Table, known: Collection[str]) -> list[Sequence[str]]:

@@ -1,9 +1,9 @@
-"""Missions that other tools made, as legs whose heights name what they are above.
+"""Missions that other tools made, as legs whose heights name what they are above; a file is what its content says.
 
 | file | what is read | heights are above |
 |---|---|---|
 | ``.plan`` of QGroundControl, version 1 | items, surveys'; home | frame 0, 5: geoid; 3, 6: home; 10, 11: ground |
-| ``.waypoints``, ``.txt``: ``QGC WPL 110`` | rows; row 0 is home where it is a waypoint | as in a ``.plan`` |
+| ``.waypoints``: ``QGC WPL 110`` | rows; row 0 is home where it is a waypoint | as in a ``.plan`` |
 | ``.mavlink``, Parrot's ``QGC WPL 120`` | the same; row 0 is home where it is above the sea | as in a ``.plan`` |
 | ``.kml`` | LineString, Track | relativeToGround: ground; absolute: geoid (EGM96); else they are asked for |
 | ``.gpx`` | routes, tracks | asked for; in jaxurban's own geoid (``ele``), or ground where it has none |
@@ -47,7 +47,6 @@ from jaxurban.errors import InputError, readable
 from jaxurban.flights.missions.dji import read_wpml, unzipped
 from jaxurban.flights.missions.items import read_plan, read_waypoints
 from jaxurban.flights.missions.lines import (
-    INAV,
     csv_lines,
     geojson_lines,
     mission_of_lines,
@@ -64,12 +63,13 @@ from jaxurban.flights.missions.parts import (
 from jaxurban.flights.ulog import ulog_lines
 from jaxurban.io.broken import BROKEN
 from jaxurban.io.files import UNPACKING
+from jaxurban.io.sniff import sniff
 from jaxurban.io.tracks import LAT, LON, UTC, track_of
 
+# By the content (`sniff`), else by the name.
 ITEM_READERS = {
     ".plan": read_plan,
     ".waypoints": read_waypoints,
-    ".txt": read_waypoints,
     ".mavlink": read_waypoints,
 }
 LINE_READERS = {
@@ -78,15 +78,11 @@ LINE_READERS = {
     ".geojson": geojson_lines,
     ".json": geojson_lines,
     ".csv": csv_lines,
+    ".txt": csv_lines,
     ".ulg": ulog_lines,
 }
-SUFFIXES = (*ITEM_READERS, ".kmz", ".wpml", *LINE_READERS)
-# Files that are not read, and what makes one of them that is.
-OTHERS = dict.fromkeys(
-    (".bin", ".log", ".tlog"),
-    "a log of ArduPilot: make GPX of it with `TZ=UTC mavtogpx.py FILE` of pymavlink",
-)
-OTHERS[".mission"] = INAV
+SUFFIXES = (*ITEM_READERS, ".kmz", ".zip", ".wpml", *LINE_READERS)
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 MOST_BYTES = 2**24  # some 20,000 items of a .plan
 
 
@@ -101,7 +97,7 @@ def read_mission(
     """Return the mission of a file: its legs, and what of it is not judged.
 
     Args:
-      path: of the file; its suffix, one of `SUFFIXES`, names the format.
+      path: of the file; its name counts where its content does not say the format.
       heights: what heights are above, where the file does not say it; ``"ellipsoid"`` also in place of the geoid that
         absolute heights in KML are above.
       home: longitude and latitude in degrees, in place of the file's.
@@ -131,7 +127,7 @@ def read_mission(
 
     with _opened(path, SUFFIXES, data) as (suffix, data):
         template = b""
-        if suffix == ".kmz":
+        if suffix in (".kmz", ".zip"):
             suffix, data, template = unzipped(data)
         if suffix in LINE_READERS:
             lines = mission_of_lines(path.name, *LINE_READERS[suffix](path, data), heights, home)
@@ -171,22 +167,23 @@ def read_flight(path: str | Path) -> pd.DataFrame:
 def _opened(
     path: Path, suffixes: Iterable[str], data: bytes | None = None
 ) -> Iterator[tuple[str, bytes]]:
-    """Yield the suffix of a mission's file, one of ``suffixes``, and its bytes or ``data``, and name it in errors."""
-    suffix = path.suffix.lower()
-    if suffix in OTHERS:
-        raise InputError(f"{path.name!r} is {OTHERS[suffix]}")
-    if suffix not in suffixes:
-        raise InputError(
-            f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(suffixes)}"
-        )
+    """Yield a mission's format, one of ``suffixes``, and its bytes or ``data``, and name its file in errors."""
     with readable(path, "a mission", "save it again in the tool that made it"):
         size = path.stat().st_size if data is None else len(data)
-        if size > MOST_BYTES and suffix != ".ulg":
+        if size > MOST_BYTES and sniff(path, data) != ".ulg":
             raise InputError(
                 f"{str(path)!r} holds more than 16 MB, which no mission does: name another file"
             )
+        if data is None:
+            data = path.read_bytes()
+        text = data.decode("utf-16").encode() if data.startswith(UTF_16) else data
+        kinds = [each for each in (sniff(path, text), path.suffix.lower()) if each in suffixes]
+        if not kinds:
+            raise InputError(
+                f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(suffixes)}"
+            )
         try:
-            yield suffix, path.read_bytes() if data is None else data
+            yield kinds[0], data
         except (InputError, DamagedError):
             raise
         except (*BROKEN, *UNPACKING) as error:
