@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxurban.cities.bodies import NO_LEVEL, TAGS, UNREAD, CityObject, Face, bodies_of
 from jaxurban.errors import InputError
+from jaxurban.io.files import pieces_of
 
 FACES = {"Polygon", "PolygonPatch", "Triangle", "Rectangle"}
 POSITIONS = {"pos", "posList", "coordinates"}
@@ -78,8 +79,9 @@ def read_citygml(path: Path, crs_names: set[str]) -> Iterator[dict[str, Any]]:
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     parser.CharacterDataHandler = builder.data
-    with path.open("rb") as file:
-        parser.ParseFile(file)
+    for piece in pieces_of(path):
+        parser.Parse(piece)
+    parser.Parse(b"", True)
     model.objects.append(model.object_of(builder.close()))  # with what no member holds
     model.draw_links(path.stat().st_size)
     return bodies_of(model.objects)

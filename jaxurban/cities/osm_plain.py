@@ -20,6 +20,7 @@ import osmium
 from osmium.osm.mutable import Node, Relation, Way
 
 from jaxurban.errors import InputError, readable
+from jaxurban.io.files import pieces_of
 from jaxurban.io.sniff import in_own_words, scratch_folder, sniff, unpacked
 
 OBJECTS = ("node", "way", "relation")  # in the order of a file
@@ -101,7 +102,7 @@ def _needs_writing(name: str, file: Path) -> bool:
 
 def _of_xml(file: Path) -> Iterator[dict[str, Any]]:
     """Yield the objects of XML as the Overpass API's JSON has them, all numbers as text; deleted ones are left out."""
-    for _, item in ElementTree.iterparse(file):
+    for item in _elements(file):
         if item.tag not in OBJECTS:
             continue
         if item.get("action") != "delete":
@@ -111,6 +112,16 @@ def _of_xml(file: Path) -> Iterator[dict[str, Any]]:
                 "members": list(map(_line_of, item.iterfind("member"))),
             }
         item.clear()
+
+
+def _elements(file: Path) -> Iterator[Any]:
+    """Yield each element of XML at its end."""
+    parser: Any = ElementTree.XMLPullParser(["end"])
+    for piece in pieces_of(file):
+        parser.feed(piece)
+        for _, item in parser.read_events():
+            yield item
+    parser.close()
 
 
 def _line_of(item: ElementTree.Element) -> dict[str, Any]:

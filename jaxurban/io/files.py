@@ -212,11 +212,20 @@ def checksum_of(data: Path | bytes) -> str:
     if isinstance(data, bytes):
         return f"{zlib.crc32(data):08x}-{len(data)}"
     crc = length = 0
-    with data.open("rb") as file:
-        while piece := file.read(PIECE_BYTES):
-            crc = zlib.crc32(piece, crc)
-            length += len(piece)
+    for piece in pieces_of(data):
+        crc = zlib.crc32(piece, crc)
+        length += len(piece)
     return f"{crc:08x}-{length}"
+
+
+def pieces_of(path: Path) -> Iterator[bytes]:
+    """Yield a file in pieces of `PIECE_BYTES`.
+
+    Parsers of XML get it so, as expat before 2.6 begins a tag or a comment again with each piece that does not end it.
+    """
+    with path.open("rb") as file:
+        while piece := file.read(PIECE_BYTES):
+            yield piece
 
 
 PIECE_BYTES = 2**24  # of a file that are looked at at once

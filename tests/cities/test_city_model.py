@@ -3,6 +3,7 @@
 import gzip
 import json
 import shutil
+import time
 import warnings
 import zipfile
 from contextlib import suppress
@@ -17,11 +18,13 @@ import jaxurban as ju
 from jaxurban.cities import tiles as tiles_module
 from jaxurban.cities.buildings import to_buildings
 from jaxurban.cities.city import lonlat_extent
+from jaxurban.cities.osm import read_osm
 from jaxurban.cities.tiles import read_tiles
 from jaxurban.maps.provenance import hash_inputs
 from jaxurban.maps.scenario import Scenario
 from jaxurban.world.footprints import HeightOrigin
 from tests.cli_runs import run
+from tests.io.test_sniff import edited
 from tests.made_files import refused
 
 X, Y, Z = 565_000.0, 5_934_000.0, 20.0  # Hamburg, UTM zone 32, and its ground
@@ -595,6 +598,35 @@ def test_damaged_citygml_is_refused_in_one_sentence(tmp_path, spoil):
 def test_a_doctype_is_refused(tmp_path):
     text = citygml(thing(labelled(HOUSE))).replace("<core:CityModel", f"{ENTITY}<core:CityModel")
     refused(read_tiles, tmp_path / "a.gml", text.encode(), "has a DOCTYPE, .*: remove it")
+
+
+LONG = "x" * 8_000_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "token",
+    [
+        f"<a b='{LONG}'/>",
+        f"<!--{LONG}-->",
+        f"<?a {LONG}?>",
+        f"<{LONG}/>",
+        LONG,
+        f"<![CDATA[{LONG}]]>",
+    ],
+)
+def test_a_token_of_any_length_is_read_once_and_not_again_with_each_piece_of_the_file(
+    tmp_path, token
+):
+    text = citygml(thing(labelled(HOUSE))).replace(
+        "<core:cityObjectMember>", f"{token}<core:cityObjectMember>", 1
+    )
+    file = written(tmp_path / "a.gml", text)
+    began = time.process_time()
+    assert len(read_tiles(file).polygons) > 0
+    file = written(tmp_path / "a.osm", edited().replace("<node", f"<!--{LONG}--><node", 1))
+    assert len(read_osm(file).polygons) == 2
+    assert time.process_time() - began < 3  # pieces of 2 kB took 8 s
 
 
 @pytest.mark.parametrize("index", [-1, 1000, 1.5, None, True])
