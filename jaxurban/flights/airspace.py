@@ -15,6 +15,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ import shapely
 from jaxurban import wings
 from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
+from jaxurban.flights.missions.lines import tag_of, xml_root
 from jaxurban.flights.missions.parts import GEOD
 from jaxurban.io.broken import BROKEN
 from jaxurban.io.sniff import sniff, unpacked
@@ -99,6 +101,8 @@ REMARKS = {
 FEATURE = re.compile(
     rb'"type"\s*:\s*"Feature"|<(?:[\w.-]+:)?(?:Placemark|GroundOverlay|NetworkLink)\b'
 )
+MODEL, PLACEMARK = b"<Model", b"Placemark"
+KML_SHAPES = "Point LineString LinearRing Polygon MultiGeometry Track MultiTrack".split()
 Json = Mapping[str, Any]
 Remarks = list[str]  # of one zone, keys of `REMARKS`
 
@@ -163,6 +167,14 @@ def _of_vector_file(path: Path) -> list[Zone]:
       InputError: a file that cannot be read, or a zone with an invalid corner, floor or ceiling.
     """
     file = path.name
+    check_file(path)
+    with unpacked(path) as plain:
+        content = plain.read_bytes()
+    if MODEL in content:
+        raise InputError(
+            f"the {ROLE} file {str(path)!r} holds a model in three dimensions, which GDAL cannot read: draw a polygon "
+            "around it instead"
+        )
     zones: list[Zone] = []
     num_read = 0
     for frame in wings.open_layers(path, ROLE):
@@ -193,12 +205,25 @@ def _of_vector_file(path: Path) -> list[Zone]:
                     Zone(name, shape, crs, *limits_m, file, state="unknown", remarks=("no_area",))
                 )
 
-    with unpacked(path) as plain:
-        num_lost = len(FEATURE.findall(plain.read_bytes())) - num_read
+    num_lost = _num_features(content) - num_read
     if num_lost > 0:
         name = f"{num_lost} more"
         zones.append(Zone(name, NOWHERE, source=file, state="unknown", remarks=("not_read",)))
     return zones
+
+
+def _num_features(content: bytes) -> int:
+    """Return how many shapes a file of GeoJSON or KML holds with a place of their own, 0 of any other file."""
+    num = len(FEATURE.findall(content))
+    with suppress(*BROKEN, RecursionError):
+        num = max(num, len(json.loads(content)["features"]))  # a bare geometry among features
+    if PLACEMARK not in content:
+        return num
+    with suppress(*BROKEN):
+        for mark in xml_root(content).iterfind(".//{*}Placemark"):  # GDAL reads one shape of each
+            num_shapes = sum(tag_of(each) in KML_SHAPES for each in mark)
+            num += max(num_shapes - 1, 0)
+    return num
 
 
 def _plain(name: object) -> str:

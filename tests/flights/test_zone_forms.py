@@ -136,6 +136,10 @@ FORMS = {
     "empty polygon": of({"type": "Polygon", "coordinates": []}),
     "empty ring": of({"type": "Polygon", "coordinates": [[]]}),
     "empty polygons": of({"type": "MultiPolygon", "coordinates": []}),
+    "bare geometry among features": geojson(POLYGON, states={"1 more": "unknown"}),
+    "two shapes in a placemark": kml(
+        f"<Placemark><name>B</name>{AREA}{SPOT}</Placemark>", {"B": "unknown", "1 more": "unknown"}
+    ),
     "features in features": geojson(
         {"type": "FeatureCollection", "features": [feature(POLYGON)]}, states={"1 more": "unknown"}
     ),
@@ -358,3 +362,12 @@ def test_a_zone_that_is_not_in_force_at_the_flight_is_named_as_open(tmp_path, mi
     with pytest.warns(IgnoredZoneWarning, match="not in force"):
         planned = limits.at(time).to_dict()["no_fly"]
     assert planned[1]["remarks"] == ["not_in_force"]
+
+
+def test_a_model_of_kml_is_refused_before_gdal_reads_it(tmp_path):
+    """GDAL 3.12.4 ends the process with one in a MultiGeometry."""
+    inside = "<Placemark><MultiGeometry><Model/></MultiGeometry></Placemark>"
+    file = tmp_path / "zones.kml"
+    file.write_text(kml(inside, {}).content)
+    with pytest.raises(ju.InputError, match="holds a model in three dimensions"):
+        read_zones(file)
