@@ -102,7 +102,15 @@ FEATURE = re.compile(
     rb'"type"\s*:\s*"Feature"|<(?:[\w.-]+:)?(?:Placemark|GroundOverlay|NetworkLink)\b'
 )
 MODEL, PLACEMARK = b"<Model", b"Placemark"
-KML_SHAPES = "Point LineString LinearRing Polygon MultiGeometry Track MultiTrack".split()
+KML_SHAPES = [
+    "Point",
+    "LineString",
+    "LinearRing",
+    "Polygon",
+    "MultiGeometry",
+    "Track",
+    "MultiTrack",
+]
 Json = Mapping[str, Any]
 Remarks = list[str]  # of one zone, keys of `REMARKS`
 
