@@ -3,8 +3,9 @@
 The first table is `jaxurban.io.learned.PACKAGED`. The second leaves one city out: by how much the guess of the
 others misses its known heights, those by the number of levels among them (the median of guess less true and the mean of
 its size, in metres), beside its own guess and a constant. The third does so too: how many of its given heights keep
-below what the others say, with the interval of Clopper and Pearson (95 %), and the median of likely less true. The last
-is of objects whose height OpenStreetMap does not know and an official table does. Files are those of
+below what the others say, with the interval of Clopper and Pearson (95 %), and the median of likely less true. The next
+is of objects whose height OpenStreetMap does not know and an official table does. The last is of the bound: how many
+given heights of classes that have one, as they have where a file knows no height, are above it. Files are those of
 ``JAXURBAN_DATA`` (else ``../shared/data``) and of ``formats/given`` beside it.
 """
 
@@ -22,8 +23,17 @@ import jaxurban as ju
 from benchmarks.common import table
 from jaxurban.cities import buildings as reader
 from jaxurban.cities.city import lonlat_extent, read_buildings
+from jaxurban.cities.kinds import LIMIT_M
 from jaxurban.io.city import City
-from jaxurban.io.learned import CLASSES, LIKELY_SHARE, classes_of, likely_of
+from jaxurban.io.learned import (
+    CLASSES,
+    IN_NONE,
+    LIKELY_SHARE,
+    PART_CLASSES,
+    PARTS,
+    classes_of,
+    likely_of,
+)
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.grid import utm_of
 
@@ -79,20 +89,29 @@ def known_of(file: ju.Buildings) -> pd.DataFrame:
             for classes, given_m, counted_m in seen
         ]
     )
+    is_part = rows["class"].isin(PART_CLASSES)
+    in_none = PARTS + IN_NONE
+    parts = rows[is_part].assign(**{"class": in_none})  # which may be of any building
+    rows = pd.concat([rows[rows["class"] != in_none], parts])
     return rows[rows["counted_m"] > 0].replace({"height_m": {0.0: np.nan}})
 
 
 def likely_by_class(known: pd.DataFrame) -> pd.Series:
-    """Return the highest of what the known heights of several cities say, by class."""
+    """Return the highest of what the known heights of several cities say, by class, of parts also of their wholes."""
     by_city = known.dropna().groupby(["class", "city"])["height_m"]
-    likely = by_city.agg(lambda values: likely_of(values.to_numpy()))
-    return likely[by_city.size() >= LEAST_KNOWN].groupby("class").max()
+    of_cities = by_city.agg(lambda values: likely_of(values.to_numpy()))
+    likely = of_cities[by_city.size() >= LEAST_KNOWN].groupby("class").max()
+    for part, whole in zip(PART_CLASSES, (*CLASSES, CLASSES[-1]), strict=True):
+        likely[part] = max(likely.get(part, 0.0), likely.get(whole, 0.0))
+    return likely
 
 
 def guess_by_class(known: pd.DataFrame) -> pd.Series:
-    """Return the median of the medians of several cities, by class."""
+    """Return the median of the medians of several cities, by class; of parts of which no city knows any of wholes."""
     by_city = known.groupby(["class", "city"])["counted_m"]
-    return by_city.median()[by_city.size() >= LEAST_KNOWN].groupby("class").median()
+    guesses = by_city.median()[by_city.size() >= LEAST_KNOWN].groupby("class").median()
+    wholes = guesses.reindex(CLASSES).set_axis(PARTS + CLASSES)
+    return guesses.combine_first(wholes.dropna())
 
 
 def missed(true_m: np.ndarray, guess_m: float) -> dict[str, object]:
@@ -163,6 +182,8 @@ def main() -> None:
     """Print the tables."""
     warnings.simplefilter("ignore")
     known = pd.concat([known_of(file).assign(city=name) for name, file in FILES.items()])
+    of_osm = known_of(OSM).assign(city="Murray Hill, OpenStreetMap")
+    known = pd.concat([known, of_osm[of_osm["class"].isin(PART_CLASSES)]])
     learned = known[~known["city"].isin(NOT_LEARNED)]
     packaged = likely_by_class(learned)
     guesses = guess_by_class(learned)
@@ -184,11 +205,21 @@ def main() -> None:
     rows = []
     for (city, name), own in known.dropna().groupby(["city", "class"]):
         others = likely_by_class(learned[learned["city"] != city])
-        if name in CLASSES and len(own) >= LEAST_KNOWN and name in others:
+        if name in (*CLASSES, *PART_CLASSES) and len(own) >= LEAST_KNOWN and name in others:
             row = {"city left out": city, "class": name}
             rows.append(row | covered(own["height_m"].to_numpy(), float(others[name])))
     _print(rows)
     _print(unknown_in_osm(packaged))
+    bounded = learned.dropna()
+    bounded = bounded[bounded["class"].isin(packaged.index[packaged <= LIMIT_M])]
+    bounded = bounded[bounded["class"].isin((*CLASSES, *PART_CLASSES))]
+    above = bounded["height_m"].gt(LIMIT_M).groupby([bounded["city"], bounded["class"]])
+    _print(
+        [
+            {"city": city, "class": of, "n": len(each), "above the bound": each.sum()}
+            for (city, of), each in above
+        ]
+    )
 
 
 if __name__ == "__main__":

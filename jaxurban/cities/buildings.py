@@ -38,7 +38,15 @@ from jaxurban.cities.stands import is_water, what_stands
 from jaxurban.cities.wires import in_spans, with_supports
 from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue, ReadIssues
-from jaxurban.io.learned import LARGE, Learned, classes_of, learned_from, of_classes
+from jaxurban.io.learned import (
+    CLASSES_M2,
+    IN_NONE,
+    PARTS,
+    Learned,
+    classes_of,
+    learned_from,
+    of_classes,
+)
 from jaxurban.settings import SLABS
 from jaxurban.world.extent import polygonal
 from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
@@ -111,7 +119,8 @@ def to_buildings(
     waters = shapely.force_2d(outlines.polygons[is_water(outlines)])
     waters = shapely.transform(shapely.make_valid(waters), to_city.transform, interleaved=False)
     others = in_spans(features.take(~is_building))
-    structures, of_kinds = _structures(others, file, waters, learns)
+    tallest_m = buildings.height_m.max(initial=0.0, where=~buildings.is_guessed)
+    structures, of_kinds = _structures(others, file, waters, tallest_m, learns)
     structures, is_same = _on_roofs(structures, others, buildings)
     structures = with_supports(structures, others.polygons)
     is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
@@ -170,7 +179,8 @@ def _buildings(
 
     # Outlines and their parts: heights of one for the other, and which outlines the parts replace.
     outline, part, share = _own_parts(polygons, ~is_part & ~is_deck, is_part)
-    learned, classes = _learned(buildings, outline, part, is_deck, learns)
+    classes = _classes(polygons, is_part, is_deck)
+    learned, highest_m = _learned(buildings, found, outline, part, classes, learns)
     if file.default_height_m is None:
         guess_m = of_classes(learned, classes, "guess_m")
         is_low = found.says("building", LOW_BUILDINGS) & (guess_m > LOW_LIMIT_M)
@@ -186,8 +196,9 @@ def _buildings(
         is_replaced &= ~is_podium
 
     # Their bounds.
-    limit_m = _limits_m(buildings, found, file, classes, learned)
-    likely_m = of_classes(learned, classes, "likely_m") + buildings.min_height_m
+    above_m = of_classes(learned, classes, "likely_m")
+    limit_m = _limits_m(buildings, found, file, highest_m, above_m)
+    likely_m = above_m + buildings.min_height_m
     is_of_class = np.isin(buildings.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE))
     likely_m = np.where(is_of_class, likely_m + found.tags["rise_m"], np.inf)
     buildings = replace(buildings, limit_m=limit_m, likely_m=likely_m)
@@ -199,7 +210,11 @@ def _buildings(
 
 
 def _structures(
-    outlines: Outlines, rules: settings.Buildings, waters: np.ndarray, learns: bool
+    outlines: Outlines,
+    rules: settings.Buildings,
+    waters: np.ndarray,
+    tallest_m: float,
+    learns: bool,
 ) -> tuple[Footprints, dict[str, Learned]]:
     """Return structures with their heights, and what is learned of these by kind.
 
@@ -212,6 +227,7 @@ def _structures(
       outlines: ``N`` from `what_stands`, in a projected CRS; a `BUILDING` is a polygon without area.
       rules: height of one level.
       waters: what bridges may cross.
+      tallest_m: of the buildings whose heights are known, as what is not whole may be of any class.
       learns: as of `to_buildings`.
     """
     verdicts = outlines.tags["verdict"]
@@ -245,7 +261,10 @@ def _structures(
     names = np.array([kind.name for kind in kinds], object)
 
     # What is learned of kinds that a name alone tells apart.
-    is_given = (origin == HeightOrigin.HEIGHT) & np.isin(names, LEARNED_KINDS) & learns
+    is_known = (origin == HeightOrigin.HEIGHT) & ~(is_bridge | is_hull)
+    row = np.where(outlines.tags["label"] == "", kinds, outlines.tags["label"])
+    highest_m = pd.Series(height_m * is_known).groupby(row, sort=False).transform("max")
+    is_given = is_known & np.isin(names, LEARNED_KINDS) & learns
     given_m = np.where(is_given, height_m, 0.0)
     learned = learned_from(names, given_m, given_m)
     guess_m = of_classes(learned, names, "guess_m")
@@ -255,9 +274,13 @@ def _structures(
     names[has_height & (names == UNKNOWN)] = "structure"
     origin[has_height & is_bridge] = HeightOrigin.ROUGH  # of the deck alone
     origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
-    of_hulls_m = _limits_by_name_m(outlines) + outlines.tags["rise_m"]
+    hull_m2 = shapely.area(shapely.convex_hull(outlines.polygons))
+    is_small = (hull_m2 < CLASSES_M2[1]) & (tallest_m <= LIMIT_M)
+    of_hulls_m = _limits_by_name_m(outlines, np.where(is_small, LIMIT_M, np.inf))
+    of_hulls_m += outlines.tags["rise_m"]
     limit_m = np.where(is_hull, of_hulls_m, of_kinds("limit_m"))
     limit_m[is_lost | (limit_m < np.fmax(guess_m, likely_m))] = np.inf
+    limit_m = np.fmax(limit_m, highest_m)
 
     # Shapes.
     is_border = (kinds == WOOD) | (is_bridge & (outlines.texts("man_made") == DECK))
@@ -351,34 +374,68 @@ def _on_roofs(
     return on_roofs, is_on & names_it & (structures.kinds == UNKNOWN)
 
 
-def _limits_by_name_m(outlines: Outlines) -> np.ndarray:
-    """Return ``[N]`` the height that buildings of unknown height do not exceed, by what their tag calls them."""
-    return np.where(outlines.says("building", LOW_BUILDINGS), LOW_LIMIT_M, LIMIT_M)
+def _limits_by_name_m(outlines: Outlines, others_m: float | np.ndarray) -> np.ndarray:
+    """Return ``[N]`` the bound of buildings of unknown height by what their tag calls them, and of others."""
+    return np.where(outlines.says("building", LOW_BUILDINGS), LOW_LIMIT_M, others_m)
+
+
+def _classes(polygons: np.ndarray, is_part: np.ndarray, is_deck: np.ndarray) -> np.ndarray:
+    """Return the class of each building, ``[N]`` objects; what lies in an outline is as large as that.
+
+    A part that lies in none but touches one is as large as all that it touches; one that touches none is `IN_NONE`.
+
+    Args:
+      polygons: ``[N]`` outlines and parts.
+      is_part: ``[N]`` bool.
+      is_deck: ``[N]`` bool, which are no buildings.
+    """
+    own_m2 = shapely.area(polygons)
+    area_m2 = own_m2.copy()
+    wholes = np.flatnonzero(~(is_part | is_deck))
+    middles = shapely.point_on_surface(polygons)
+    inner, whole = shapely.STRtree(polygons[wholes]).query(middles, predicate="within")
+    np.maximum.at(area_m2, inner, own_m2[wholes[whole]])
+
+    alone = np.setdiff1d(np.flatnonzero(is_part), inner)
+    other, one = shapely.STRtree(polygons[alone]).query(polygons, predicate="intersects")
+    area_m2[alone] = np.bincount(one, own_m2[other], len(alone))
+    classes = classes_of(area_m2)
+    touching = alone[one[np.isin(other, wholes)]]
+    classes[np.setdiff1d(alone, touching)] = IN_NONE
+    return np.where(is_part, PARTS + classes, classes)
 
 
 def _learned(
-    buildings: Footprints, outline: np.ndarray, part: np.ndarray, is_deck: np.ndarray, learns: bool
+    buildings: Footprints,
+    found: Outlines,
+    outline: np.ndarray,
+    part: np.ndarray,
+    classes: np.ndarray,
+    learns: bool,
 ) -> tuple[dict[str, Learned], np.ndarray]:
-    """Return what whole outlines say of unknown heights, and the class of each building, ``[N]``, by its outline.
+    """Return what a file says of unknown heights, and the highest that it knows of the class of each, ``[N]``.
 
-    An outline is as high as its highest part.
+    An outline is as high as its highest part. In the highest a part is of the class of its building, and what names
+    call low is a class of its own; of a part that lies in none it is not known.
 
     Args:
       buildings: ``N`` outlines and parts, as the file has them.
+      found: what their tags call them.
       outline, part: ``[P]`` indices of outlines and their own parts.
-      is_deck: ``[N]`` bool, which are no buildings.
+      classes: ``[N]`` objects.
       learns: as of `to_buildings`.
     """
-    area_m2 = shapely.area(buildings.polygons)
-    np.maximum.at(area_m2, part, area_m2[outline])
-    classes = classes_of(area_m2)
-    is_whole = ~(buildings.is_part | is_deck) & learns
     known_m = []
     for origins in (HeightOrigin.HEIGHT,), (HeightOrigin.HEIGHT, HeightOrigin.LEVELS):
-        height_m = np.where(np.isin(buildings.origin, origins), buildings.height_m, 0.0)
+        is_known = np.isin(buildings.origin, origins) & ~found.tags["is_deck"]
+        height_m = np.where(is_known, buildings.height_m, 0.0)
         np.maximum.at(height_m, outline, height_m[part])
-        known_m.append(np.where(is_whole, height_m, 0.0))
-    return learned_from(classes, *known_m), classes
+        known_m.append(height_m)
+    groups = pd.Series(classes).str.removeprefix(PARTS)
+    groups[found.says("building", LOW_BUILDINGS)] = "low"
+    highest_m = pd.Series(height_m).groupby(groups).transform("max").to_numpy()
+    highest_m = np.where(groups == IN_NONE, np.inf, highest_m)
+    return learned_from(classes, *(each * learns for each in known_m)), highest_m
 
 
 def _within(
@@ -410,10 +467,10 @@ def _limits_m(
     buildings: Footprints,
     found: Outlines,
     rules: settings.Buildings,
-    classes: np.ndarray,
-    learned: dict[str, Learned],
+    highest_m: np.ndarray,
+    likely_m: np.ndarray,
 ) -> np.ndarray:
-    """Return ``[B]`` the height that buildings of guessed height do not exceed; of decks it is not known.
+    """Return ``[B]`` the bound of buildings of guessed height; of decks it is not known.
 
     Vertices of outlines may lie on the ground or on roofs: how far they rise counts in full.
 
@@ -421,14 +478,14 @@ def _limits_m(
       buildings: with their heights.
       found: ``B`` outlines with what their tag calls them and how far they rise.
       rules: height of one level.
-      classes: ``[B]`` of footprints.
-      learned: of these; where higher ones are likely or known, buildings whose names say nothing have no bound.
+      highest_m, likely_m: ``[B]`` of their classes. What names call low is bounded by the highest that the file knows;
+        others have no bound where higher ones are known or likely, as nothing says how high a tower is.
     """
     num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
-    by_name_m = np.maximum(_limits_by_name_m(found), found.tags["kind_limit_m"])
-    highest_m = np.where(np.isin(classes, LARGE), of_classes(learned, classes, "highest_m"), 0.0)
-    higher_m = np.maximum(highest_m, of_classes(learned, classes, "likely_m"))
-    by_name_m[(higher_m > by_name_m) & (by_name_m >= LIMIT_M)] = np.inf
+    by_name_m = np.maximum(_limits_by_name_m(found, LIMIT_M), found.tags["kind_limit_m"])
+    is_higher = np.fmax(highest_m, likely_m) > by_name_m
+    others_m = np.where(is_higher, np.inf, by_name_m)
+    by_name_m = np.where(by_name_m < LIMIT_M, np.maximum(by_name_m, highest_m), others_m)
     by_name_m += found.tags["rise_m"]
     limits_m = {
         HeightOrigin.LEVELS: LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M,

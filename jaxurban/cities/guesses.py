@@ -10,11 +10,11 @@ import numpy as np
 from jaxurban import settings
 from jaxurban.cities.heights import LAYER_CLEARANCE_M
 from jaxurban.io.issues import ReadIssue, ReadIssues, listed_counts
-from jaxurban.io.learned import CLASSES, Learned
+from jaxurban.io.learned import CLASSES, PART_CLASSES, Learned
 from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import lonlat_boxes
-from jaxurban.world.footprints import GUESSED_BY, Footprints
+from jaxurban.world.footprints import GUESSED_BY, Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds
 
 if TYPE_CHECKING:
@@ -42,7 +42,9 @@ def height_guesses(
     if buildings is None:
         return ()
     inside = buildings.inside(bounds_m)
-    medians = [f"{name} {learned[name]}" for name in CLASSES if name in learned]
+    has_parts = (inside.is_part & (inside.origin == HeightOrigin.DEFAULT)).any()
+    names = [*CLASSES, *(PART_CLASSES if has_parts else ())]
+    medians = [f"{name} {learned[name]}" for name in names if name in learned]
     default = f"by the median of their class: {'; '.join(medians)}"
     if file.default_height_m is not None:
         default = f"by the default of {file.default_height_m:g} m"

@@ -35,7 +35,7 @@ class Kind:
     Attributes:
       name: as `Footprints.kind` has it.
       height_m: with which one of unknown height stands in the maps; 0: it stands only with a height of its own.
-      limit_m: height above ground that one of unknown height does not exceed, inf where nothing says.
+      limit_m: height above ground that all but a few of unknown height keep below, inf where nothing says.
       radius_m: of one that is a point or a line, without a width or a diameter.
     """
 

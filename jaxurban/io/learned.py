@@ -13,18 +13,34 @@ from dataclasses import dataclass
 import numpy as np
 
 CLASSES_M2 = 60.0, 200.0, 1000.0  # of footprints, between classes
-LARGE = "buildings of 200 to 1,000 m2", "buildings above 1,000 m2"
-CLASSES = np.array(("buildings below 60 m2", "buildings of 60 to 200 m2", *LARGE), object)
+CLASSES = np.array(
+    (
+        "buildings below 60 m2",
+        "buildings of 60 to 200 m2",
+        "buildings of 200 to 1,000 m2",
+        "buildings above 1,000 m2",
+    ),
+    object,
+)
+PARTS = "parts of "  # and the class of what they lie in or touch
+IN_NONE = "no building"  # the class of what parts lie in that lie in none
+PART_CLASSES = PARTS + np.append(CLASSES, IN_NONE)
 LIKELY_SHARE = 0.99
 LEAST_FOR_GUESS = 20
 LEAST_KNOWN = 299  # so many known heights are 95 % sure of 99 %
 # Guess and likely by `benchmarks.learn_heights`. Of buildings these are the median of the medians of several cities,
-# and the highest of what each says, as one unlike these may be denser; of trees what all of them say together.
+# and the highest of what each says, as one unlike these may be denser; likely of parts is no less than of what they lie
+# in. Of trees it is what all of them say together.
 PACKAGED = {
     "buildings below 60 m2": (4.6, 25.0),
     "buildings of 60 to 200 m2": (9.2, 40.4),
     "buildings of 200 to 1,000 m2": (16.5, 145.4),
     "buildings above 1,000 m2": (33.0, 427.0),
+    "parts of buildings below 60 m2": (4.6, 25.0),
+    "parts of buildings of 60 to 200 m2": (14.1, 83.3),
+    "parts of buildings of 200 to 1,000 m2": (30.0, 192.0),
+    "parts of buildings above 1,000 m2": (40.4, 427.0),
+    "parts of no building": (35.5, 427.0),
     "tree": (7.0, 20.0),
 }
 

@@ -52,8 +52,8 @@ class Footprints(Rows):
       is_part: ``[B]`` bool, from ``building:part``.
       kind: ``[B]`` objects: ``"building"``, ``"chimney"``, ``"mast"`` ...; ``"unknown"`` where something stands whose
         extent is not known. None: all are buildings.
-      limit_m: ``[B]`` float64 height that a roof of guessed height does not exceed, inf where nothing says; of no
-        meaning where the height is known. None: inf for all.
+      limit_m: ``[B]`` float64 height that all but a few roofs of guessed height keep below, inf where nothing says; of
+        no meaning where the height is known. None: inf for all.
       label: ``[B]`` objects: what the file calls what is of kind ``"unknown"``, such as ``"attraction=big_wheel"``;
         ``""`` where it says nothing or the kind is known. None: ``""`` for all.
       likely_m: ``[B]`` float64 height that 99 % of what is as large or of its kind keep below, inf where nothing says

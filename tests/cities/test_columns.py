@@ -97,6 +97,12 @@ def test_parts_of_overture_are_parts_whatever_columns_they_lack(tmp_path, lost):
     assert issues == {"outlines_replaced_by_parts": 1}
 
 
+@pytest.mark.parametrize("name", ["BUILDING_ID", "BUILDING_I"])
+def test_a_column_that_numbers_buildings_makes_no_parts_of_them(tmp_path, name):
+    path = write_vector(tmp_path / "city.gpkg", [SQUARE] * 3, WGS84, **{name: [11, 12, 13]})
+    assert not read_buildings(ju.Buildings(path), UTM).buildings.is_part.any()
+
+
 def test_the_feet_of_a_shapefile_of_los_angeles_are_no_metres(tmp_path):
     rows = [{"BLD_ID": "1", "ELEV": 290.1, "HEIGHT": feet} for feet in (310.5, 45.2, 1018.0, 22.0)]
     found, issues = heights(tmp_path / "lariac.shp", rows, NEW_YORK)

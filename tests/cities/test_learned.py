@@ -16,6 +16,7 @@ from jaxurban.io.learned import (
     LEAST_FOR_GUESS,
     LEAST_KNOWN,
     PACKAGED,
+    PART_CLASSES,
     classes_of,
     learned_from,
     likely_of,
@@ -174,6 +175,110 @@ def test_bound_ends_where_the_file_knows_higher_ones_and_at_the_users_word(tmp_p
         limits_m(highest_m={"trees": 3.0})
     with pytest.raises(ju.InputError, match="above 0"):
         ju.Buildings(path, highest_m=0.0)
+
+
+def read_tagged(*rows: tuple[shapely.Geometry, dict[str, str]]) -> ju.City:
+    """Return buildings, structures and more of shapes in metres with tags, as a file of these alone says."""
+    names = {name for _, tags in rows for name in tags}
+    tags = {name: np.array([row[1].get(name) for row in rows], object) for name in names}
+    shapes = np.array([row[0] for row in rows], object)
+    given = Outlines(shapes, {"building": np.full(len(rows), None, object), **tags}, UTM, (), {})
+    return to_buildings(ju.Buildings("town.osm"), given, UTM)
+
+
+def box(x_m: float, y_m: float, area_m2: float) -> shapely.Geometry:
+    """Return a square of an area with its lower left corner at a place."""
+    side_m = area_m2**0.5
+    return shapely.box(x_m, y_m, x_m + side_m, y_m + side_m)
+
+
+@pytest.mark.parametrize("area_m2", [30.0, 165.0, 500.0, 2000.0])
+@pytest.mark.parametrize("about", [{"height": "105.9"}, {"levels": "36"}])
+def test_no_class_has_a_bound_below_what_the_file_knows_of_it(area_m2, about):
+    known = box(0, 0, area_m2), {"building": "yes"} | about
+    unknown = box(200, 0, area_m2), {"building": "yes"}
+    house = box(400, 0, 100), {"building": "house"}
+    buildings = read_tagged(known, unknown, house).buildings
+    assert buildings.upper_m[1:].tolist() == [np.inf, 25]
+
+
+def test_names_that_say_low_are_bounded_by_the_highest_of_them():
+    rows = [(box(50 * i, 0, 100), {"building": "terrace"}) for i in range(3)]
+    rows[0][1]["height"] = "31"
+    assert read_tagged(*rows).buildings.upper_m.tolist() == [31, 31, 31]
+
+
+@pytest.mark.parametrize(
+    ("about", "limit_m", "known_m"),
+    [
+        ({"natural": "tree"}, 35, 41),
+        ({"man_made": "storage_tank"}, 30, 44),
+        ({"highway": "street_lamp"}, 15, 20),
+    ],
+)
+def test_bound_of_a_kind_is_not_below_what_the_file_knows_of_it(about, limit_m, known_m):
+    known = shapely.Point(0, 0), about | {"height": str(known_m)}
+    unknown, other = ((shapely.Point(x, 0), about) for x in (100, 200))
+    assert read_tagged(unknown, other).structures.upper_m.tolist() == [limit_m] * 2
+    assert read_tagged(known, unknown, other).structures.upper_m.tolist() == [known_m] * 3
+
+
+@pytest.mark.parametrize(
+    ("part", "upper_m"),
+    [
+        (box(10, 10, 20), np.inf),  # in a building of 1,600 m2
+        (box(36, 10, 64), np.inf),  # half in it
+        (box(40, 10, 20), np.inf),  # beside it
+        (box(202, 2, 20), 100),  # in a small one
+        (box(210, 2, 20), 100),  # beside that
+        (box(210, 2, 150), np.inf),  # which makes it a large one
+        (box(300, 10, 20), np.inf),  # in none
+    ],
+)
+def test_a_part_has_the_class_of_what_it_lies_in_or_touches(part, upper_m):
+    tower, house = box(0, 0, 1600), box(200, 0, 100)
+    wholes = [(shape, {"building": "yes"}) for shape in (tower, house)]
+    buildings = read_tagged(*wholes, (part, {"part": "yes"})).buildings
+    assert buildings.upper_m[buildings.is_part].tolist() == [upper_m]
+
+
+def test_a_building_that_is_drawn_within_another_has_the_class_of_that():
+    shapes = box(0, 0, 1600), box(200, 0, 100), box(10, 10, 20), box(202, 2, 20), box(40, 10, 20)
+    buildings = read_tagged(*((shape, {"building": "yes"}) for shape in shapes)).buildings
+    assert buildings.upper_m.tolist() == [np.inf, 100, np.inf, 100, 100]
+
+
+def test_parts_that_touch_each_other_and_no_building_have_no_bound():
+    parts = [(box(5 * i, 0, 25), {"part": "yes"}) for i in range(4)]
+    assert read_tagged(*parts).buildings.upper_m.tolist() == [np.inf] * 4
+
+
+def test_likely_of_parts_is_learned_of_parts():
+    """Wholes and parts are of one class, and as many parts as count by themselves are known."""
+    wholes = [(box(100 * i, 0, 1600), {"building": "yes"}) for i in range(LEAST_KNOWN + 1)]
+    inner = [(box(100 * i, 0, 100), {"part": "yes"}) for i in range(LEAST_KNOWN + 1)]
+    heights_m = np.linspace(20, 50, LEAST_KNOWN)
+    for (_, tags), height_m in zip(inner, heights_m, strict=False):
+        tags["height"] = str(height_m)
+    city = read_tagged(*wholes, *inner)
+    own = city.learned[PART_CLASSES[3]]
+    assert own.num_known == own.num_for_guess == LEAST_KNOWN
+    assert own.likely_m == pytest.approx(heights_m[296])  # the 297th of 300
+    buildings = city.buildings
+    (unknown,) = np.flatnonzero(buildings.is_part & buildings.is_guessed)
+    assert buildings.likely_upper_m[unknown] == pytest.approx(own.likely_m)
+    few = read_tagged(*wholes[:5], *inner[:5])
+    assert few.learned[PART_CLASSES[3]].likely_m == PACKAGED[PART_CLASSES[3]][1]
+
+
+def test_a_piece_of_a_building_may_be_of_any_class():
+    line = shapely.LineString([(0, 0), (10, 0), (10, 10)])
+    wide = shapely.LineString([(0, 0), (30, 0), (30, 30)])
+    tower = box(200, 0, 1600), {"building": "yes", "height": "120"}
+    piece, cut = ((each, {"building": "yes"}) for each in (line, wide))
+    garage = line, {"building": "garage"}
+    assert read_tagged(piece, cut, garage).structures.upper_m.tolist() == [100, np.inf, 25]
+    assert read_tagged(piece, garage, tower).structures.upper_m.tolist() == [np.inf, 25]
 
 
 def test_users_word_takes_nothing_back_that_the_file_says(tmp_path):
