@@ -119,8 +119,7 @@ def to_buildings(
     waters = shapely.force_2d(outlines.polygons[is_water(outlines)])
     waters = shapely.transform(shapely.make_valid(waters), to_city.transform, interleaved=False)
     others = in_spans(features.take(~is_building))
-    tallest_m = buildings.height_m.max(initial=0.0, where=~buildings.is_guessed)
-    structures, of_kinds = _structures(others, file, waters, tallest_m, learns)
+    structures, of_kinds = _structures(others, file, waters, learns)
     structures, is_same = _on_roofs(structures, others, buildings)
     structures = with_supports(structures, others.polygons)
     is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
@@ -210,11 +209,7 @@ def _buildings(
 
 
 def _structures(
-    outlines: Outlines,
-    rules: settings.Buildings,
-    waters: np.ndarray,
-    tallest_m: float,
-    learns: bool,
+    outlines: Outlines, rules: settings.Buildings, waters: np.ndarray, learns: bool
 ) -> tuple[Footprints, dict[str, Learned]]:
     """Return structures with their heights, and what is learned of these by kind.
 
@@ -227,7 +222,6 @@ def _structures(
       outlines: ``N`` from `what_stands`, in a projected CRS; a `BUILDING` is a polygon without area.
       rules: height of one level.
       waters: what bridges may cross.
-      tallest_m: of the buildings whose heights are known, as what is not whole may be of any class.
       learns: as of `to_buildings`.
     """
     verdicts = outlines.tags["verdict"]
@@ -274,9 +268,8 @@ def _structures(
     names[has_height & (names == UNKNOWN)] = "structure"
     origin[has_height & is_bridge] = HeightOrigin.ROUGH  # of the deck alone
     origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
-    hull_m2 = shapely.area(shapely.convex_hull(outlines.polygons))
-    is_small = (hull_m2 < CLASSES_M2[1]) & (tallest_m <= LIMIT_M)
-    of_hulls_m = _limits_by_name_m(outlines, np.where(is_small, LIMIT_M, np.inf))
+    is_large = shapely.area(shapely.convex_hull(outlines.polygons)) >= CLASSES_M2[1]
+    of_hulls_m = _limits_by_name_m(outlines, np.where(is_large, np.inf, LIMIT_M))
     of_hulls_m += outlines.tags["rise_m"]
     limit_m = np.where(is_hull, of_hulls_m, of_kinds("limit_m"))
     limit_m[is_lost | (limit_m < np.fmax(guess_m, likely_m))] = np.inf
@@ -380,28 +373,23 @@ def _limits_by_name_m(outlines: Outlines, others_m: float | np.ndarray) -> np.nd
 
 
 def _classes(polygons: np.ndarray, is_part: np.ndarray, is_deck: np.ndarray) -> np.ndarray:
-    """Return the class of each building, ``[N]`` objects; what lies in an outline is as large as that.
+    """Return the class of each building, ``[N]`` objects: by its size, or that of the outline that it lies in.
 
-    A part that lies in none but touches one is as large as all that it touches; one that touches none is `IN_NONE`.
+    A part that lies in none is a part `IN_NONE`, whatever it touches: of those of Murray Hill that touch a small
+    building and nothing else 4 of 19 are higher than 100 m.
 
     Args:
       polygons: ``[N]`` outlines and parts.
       is_part: ``[N]`` bool.
       is_deck: ``[N]`` bool, which are no buildings.
     """
-    own_m2 = shapely.area(polygons)
-    area_m2 = own_m2.copy()
+    area_m2 = shapely.area(polygons)
     wholes = np.flatnonzero(~(is_part | is_deck))
     middles = shapely.point_on_surface(polygons)
     inner, whole = shapely.STRtree(polygons[wholes]).query(middles, predicate="within")
-    np.maximum.at(area_m2, inner, own_m2[wholes[whole]])
-
-    alone = np.setdiff1d(np.flatnonzero(is_part), inner)
-    other, one = shapely.STRtree(polygons[alone]).query(polygons, predicate="intersects")
-    area_m2[alone] = np.bincount(one, own_m2[other], len(alone))
+    np.maximum.at(area_m2, inner, area_m2[wholes[whole]])
     classes = classes_of(area_m2)
-    touching = alone[one[np.isin(other, wholes)]]
-    classes[np.setdiff1d(alone, touching)] = IN_NONE
+    classes[np.setdiff1d(np.flatnonzero(is_part), inner)] = IN_NONE
     return np.where(is_part, PARTS + classes, classes)
 
 

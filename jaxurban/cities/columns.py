@@ -153,7 +153,7 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
         values[UNDERGROUND_COLUMN] = is_below.map(BELOW).to_numpy(object)
         values.pop("level", None)  # Overture's orders, as a layer does
 
-    for name in ("building_id", "building_i"):  # Overture's is that of the building of a part
+    for name in "building_id", "building_i":  # Overture's is that of the building of a part
         ids = pd.Series(values.get(name, ()), dtype=object)
         if UNDERGROUND_COLUMN not in values and ids.notna().all() and ids.is_unique:
             values.pop(name, None)

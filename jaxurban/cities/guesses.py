@@ -14,7 +14,7 @@ from jaxurban.io.learned import CLASSES, PART_CLASSES, Learned
 from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import lonlat_boxes
-from jaxurban.world.footprints import GUESSED_BY, Footprints, HeightOrigin
+from jaxurban.world.footprints import GUESSED_BY, Footprints
 from jaxurban.world.grid import Bounds
 
 if TYPE_CHECKING:
@@ -42,8 +42,7 @@ def height_guesses(
     if buildings is None:
         return ()
     inside = buildings.inside(bounds_m)
-    has_parts = (inside.is_part & (inside.origin == HeightOrigin.DEFAULT)).any()
-    names = [*CLASSES, *(PART_CLASSES if has_parts else ())]
+    names = [*CLASSES, *PART_CLASSES]
     medians = [f"{name} {learned[name]}" for name in names if name in learned]
     default = f"by the median of their class: {'; '.join(medians)}"
     if file.default_height_m is not None:

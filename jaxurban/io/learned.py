@@ -13,18 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 CLASSES_M2 = 60.0, 200.0, 1000.0  # of footprints, between classes
-CLASSES = np.array(
-    (
-        "buildings below 60 m2",
-        "buildings of 60 to 200 m2",
-        "buildings of 200 to 1,000 m2",
-        "buildings above 1,000 m2",
-    ),
-    object,
-)
 PARTS = "parts of "  # and the class of what they lie in or touch
 IN_NONE = "no building"  # the class of what parts lie in that lie in none
-PART_CLASSES = PARTS + np.append(CLASSES, IN_NONE)
 LIKELY_SHARE = 0.99
 LEAST_FOR_GUESS = 20
 LEAST_KNOWN = 299  # so many known heights are 95 % sure of 99 %
@@ -39,10 +29,12 @@ PACKAGED = {
     "parts of buildings below 60 m2": (4.6, 25.0),
     "parts of buildings of 60 to 200 m2": (14.1, 83.3),
     "parts of buildings of 200 to 1,000 m2": (30.0, 192.0),
-    "parts of buildings above 1,000 m2": (40.4, 427.0),
+    "parts of buildings above 1,000 m2": (41.0, 427.0),
     "parts of no building": (35.5, 427.0),
     "tree": (7.0, 20.0),
 }
+CLASSES = np.array([*PACKAGED][:4], object)
+PART_CLASSES = np.array([*PACKAGED][4:9], object)
 
 
 @dataclass(frozen=True)

@@ -227,15 +227,14 @@ def test_bound_of_a_kind_is_not_below_what_the_file_knows_of_it(about, limit_m, 
     ("part", "upper_m"),
     [
         (box(10, 10, 20), np.inf),  # in a building of 1,600 m2
-        (box(36, 10, 64), np.inf),  # half in it
+        (box(35, 10, 64), np.inf),  # mostly in it
         (box(40, 10, 20), np.inf),  # beside it
         (box(202, 2, 20), 100),  # in a small one
-        (box(210, 2, 20), 100),  # beside that
-        (box(210, 2, 150), np.inf),  # which makes it a large one
+        (box(210, 2, 20), np.inf),  # beside that: of what, is not known
         (box(300, 10, 20), np.inf),  # in none
     ],
 )
-def test_a_part_has_the_class_of_what_it_lies_in_or_touches(part, upper_m):
+def test_a_part_has_the_class_of_what_it_lies_in_and_no_bound_elsewhere(part, upper_m):
     tower, house = box(0, 0, 1600), box(200, 0, 100)
     wholes = [(shape, {"building": "yes"}) for shape in (tower, house)]
     buildings = read_tagged(*wholes, (part, {"part": "yes"})).buildings
@@ -271,14 +270,14 @@ def test_likely_of_parts_is_learned_of_parts():
     assert few.learned[PART_CLASSES[3]].likely_m == PACKAGED[PART_CLASSES[3]][1]
 
 
-def test_a_piece_of_a_building_may_be_of_any_class():
-    line = shapely.LineString([(0, 0), (10, 0), (10, 10)])
-    wide = shapely.LineString([(0, 0), (30, 0), (30, 30)])
-    tower = box(200, 0, 1600), {"building": "yes", "height": "120"}
-    piece, cut = ((each, {"building": "yes"}) for each in (line, wide))
-    garage = line, {"building": "garage"}
-    assert read_tagged(piece, cut, garage).structures.upper_m.tolist() == [100, np.inf, 25]
-    assert read_tagged(piece, garage, tower).structures.upper_m.tolist() == [np.inf, 25]
+def test_a_piece_of_a_building_is_no_smaller_than_what_is_seen_of_it():
+    """A line, of a building that is cut off, has the bound of the class of its hull or of none."""
+    small, wide = (
+        shapely.LineString([(0, 0), (side_m, 0), (side_m, side_m)]) for side_m in (10, 30)
+    )
+    rows = (small, "yes"), (wide, "yes"), (wide, "garage")
+    city = read_tagged(*((line, {"building": value}) for line, value in rows))
+    assert city.structures.upper_m.tolist() == [100, np.inf, 25]
 
 
 def test_users_word_takes_nothing_back_that_the_file_says(tmp_path):
