@@ -13,7 +13,8 @@ import shapely
 
 from jaxurban.cities.heights import parse_height_m
 from jaxurban.cities.outlines import Outlines
-from jaxurban.errors import InputError
+from jaxurban.errors import GuessWarning, InputError, warn
+from jaxurban.io.issues import ReadIssue
 from jaxurban.world.grid import WGS84, area_of, check_on_earth, known_crs, transformer
 
 PIECE = re.compile(r"(Building|Bridge|Tunnel)[A-Z]\w+")  # of another object, whatever it is
@@ -33,6 +34,7 @@ TAGS: dict[str, dict[str, Any]] = {  # of OpenStreetMap, by kind
     "SolitaryVegetationObject": {"natural": "tree"},
 }
 NO_LEVEL = -1.0  # of detail
+DIFFER_M = 3.0  # a solid that is so much higher than a finer one counts in its place
 MARGIN_DEG = 1.0  # around the area of use of a CRS
 LOST_M = 1e9  # in place of what is no number: no reader takes it for a height
 CRS_NAMES = {  # of German and Swiss surveys, and those with a code of EPSG
@@ -118,7 +120,7 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
     """
     kind = PIECE.sub(r"\1", members[0].kind)
     tags = TAGS.get(kind, {})
-    best = _best_faces(members)
+    best, is_coarse = _best_faces(members)
     faces = [face for face in best if face.label != UNREAD]
     faces.sort(key=lambda face: face.label not in ROOFS)
     num_roofs = sum(face.label in ROOFS for face in faces)
@@ -143,6 +145,7 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
             default=None,
         ),
         "levels": members[0].levels,
+        "is_coarse": is_coarse,
     }
     if len(faces) < len(best):
         corners = np.concatenate([ring for face in best for ring in face.rings])
@@ -168,27 +171,42 @@ def _numbered(sizes: Iterable[int]) -> np.ndarray:
     return np.repeat(np.arange(len(counts)), counts)
 
 
-def _best_faces(members: list[CityObject]) -> list[Face]:
-    """Return the faces of an object and its pieces that count, each once.
+def _best_faces(members: list[CityObject]) -> tuple[list[Face], bool]:
+    """Return the faces of an object and its pieces that count, each once, and whether coarser solids are among them.
 
     They are of the highest level of detail that has roofs or no labels; a whole gives way to parts of a higher level.
+    A solid of a lower level counts in place of one that it exceeds by more than `DIFFER_M`, and a whole beside parts.
 
     Args:
       members: as of `_bodies`.
     """
     faces: dict[int, Face] = {}  # by what draws them
     part_lod = NO_LEVEL
+    is_coarse = False
     for one in reversed(members):
-        ranks = [(face.label in ROOFS, face.lod) for face in one.faces]
+        ranks = {(face.label in ROOFS, face.lod) for face in one.faces}
         _, lod = max(ranks, default=(True, NO_LEVEL))
         if one.kind.endswith("Part"):
             part_lod = max(part_lod, lod)
         if one is members[0] and lod < part_lod:
             lod = NO_LEVEL
+        solids = {of: [face for face in one.faces if face.lod == of] for _, of in ranks if of >= 1}
+        for coarse, solid in solids.items():
+            if coarse == lod or (True, coarse) not in ranks:
+                continue
+            if _rise_m(solid) > _rise_m(solids.get(lod, faces.values())) + DIFFER_M:
+                lod = coarse
+                is_coarse = True
         for face in reversed(one.faces):
             if face.lod in (lod, NO_LEVEL):
                 faces[id(face.rings)] = face
-    return [*reversed(faces.values())]
+    return [*reversed(faces.values())], is_coarse
+
+
+def _rise_m(faces: Iterable[Face]) -> float:
+    """Return how far faces rise from the lowest vertex to the highest, in the unit of their heights."""
+    corners = [np.concatenate(face.rings) for face in faces]
+    return float(np.ptp(np.concatenate(corners)[:, 2]))
 
 
 def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -> Outlines:
@@ -221,12 +239,19 @@ def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -
         ) from error
     table = pd.DataFrame(bodies, dtype=object)
     polygons = table.pop("polygon").to_numpy()
+    num_coarse = int(table.pop("is_coarse").sum())
+    if num_coarse:
+        warn(
+            f"the finest solids of {num_coarse:,} buildings in {str(path)!r} are more than {DIFFER_M:g} m lower than "
+            "coarser ones of the same buildings, so the higher ones stand: mend the wrong ones",
+            GuessWarning,
+        )
     tags = {str(name): table[name].to_numpy() for name in table}
 
     if not _is_x_first(crs, shapely.total_bounds(polygons), codes == crs_names):
         polygons = shapely.transform(polygons, lambda xyz: xyz[:, [1, 0, 2]], include_z=True)
     check_on_earth(repr(str(path)), crs, shapely.total_bounds(polygons))
-    return Outlines(polygons, tags, crs.to_wkt(), (), {})
+    return Outlines(polygons, tags, crs.to_wkt(), (), {ReadIssue.SOLIDS_COARSE: num_coarse})
 
 
 def _is_x_first(crs: pyproj.CRS, box: np.ndarray, is_code: bool) -> bool:

@@ -28,6 +28,7 @@ class ReadIssue(StrEnum):
       PARTS_HANGING: underside above the ground.
       MIN_HEIGHTS_ABOVE_ROOF: underside at or above the roof, set to 0.
       SOLIDS: buildings of three dimensions, read as the prisms of their faces.
+      SOLIDS_COARSE: of a lower level of detail, as they are more than 3 m higher than those of a higher level.
       HEIGHTS_UNUSABLE: unreadable, 0, negative or too high.
       LEVELS_UNUSABLE: the same of levels.
       MIN_HEIGHTS_UNUSABLE: the same of the heights of undersides.
@@ -65,6 +66,7 @@ class ReadIssue(StrEnum):
     PARTS_HANGING = "parts_hanging"
     MIN_HEIGHTS_ABOVE_ROOF = "min_heights_above_roof"
     SOLIDS = "solids"
+    SOLIDS_COARSE = "solids_coarse"
     HEIGHTS_UNUSABLE = "heights_unusable"
     LEVELS_UNUSABLE = "levels_unusable"
     MIN_HEIGHTS_UNUSABLE = "min_heights_unusable"

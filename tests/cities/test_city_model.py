@@ -20,6 +20,7 @@ from jaxurban.cities.buildings import to_buildings
 from jaxurban.cities.city import lonlat_extent
 from jaxurban.cities.osm import read_osm
 from jaxurban.cities.tiles import read_tiles
+from jaxurban.errors import GuessWarning
 from jaxurban.maps.provenance import hash_inputs
 from jaxurban.maps.scenario import Scenario
 from jaxurban.world.footprints import HeightOrigin
@@ -221,6 +222,56 @@ def test_the_highest_level_with_roofs_counts(tmp_path):
         buildings, _, _ = stand(written(tmp_path / "a.gml", citygml(thing(content))))
         assert buildings.height_m.max() == pytest.approx(height_m)
         assert area_from(buildings, 0) == pytest.approx(120)
+
+
+def drawn(*heights_m, x=0):
+    """Return LOD1, LOD2 and so on of one house, each as high as it says."""
+    levels = [block(x, 0, x + 10, 12, 0, height_m) for height_m in heights_m]
+    return solid(levels[0]) + "".join(
+        labelled(faces, f"lod{number}MultiSurface") for number, faces in enumerate(levels[1:], 2)
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "height_m", "num_coarse"),
+    [
+        (drawn(30, 3), 30, 1),
+        (drawn(30, 27), 27, 0),  # near
+        (drawn(12, 30), 30, 0),
+        (drawn(9, 30, 8), 30, 1),  # LOD2 of three
+        (drawn(30) + part(labelled(block(0, 0, 10, 12, 0, 8))), 30, 1),  # a whole over its parts
+        (part(drawn(30, 3)) + part(drawn(9, 40, x=20)), 30, 1),  # of one part of two
+        (part(drawn(20, 20)) + part(drawn(20, 18, x=20)), 20, 0),
+    ],
+)
+def test_a_coarser_solid_that_is_higher_counts_and_is_said(tmp_path, content, height_m, num_coarse):
+    path = written(tmp_path / "a.gml", citygml(thing(content)))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        buildings, _, counts = stand(path)
+    is_first = shapely.intersects(buildings.polygons, shapely.box(X + 1, Y + 1, X + 9, Y + 11))
+    assert buildings.height_m[is_first].max() == pytest.approx(height_m)
+    assert counts.get("solids_coarse", 0) == num_coarse
+    said = [str(each.message) for each in caught if "more than 3 m lower" in str(each.message)]
+    assert len(said) == num_coarse
+
+
+def test_of_the_levels_of_cityjson_the_higher_counts(tmp_path):
+    document = cityjson({"house": ({}, block(0, 0, 10, 12, 0, 3))})
+    coarse = cityjson({"house": ({}, block(0, 0, 10, 12, 0, 30))})
+    first = len(document["vertices"])
+    document["vertices"] += coarse["vertices"]
+    (drawn_coarse,) = coarse["CityObjects"]["house"]["geometry"]
+    shells = [
+        [[[index + first for index in ring] for ring in face] for face in shell]
+        for shell in drawn_coarse["boundaries"]
+    ]
+    geometry = document["CityObjects"]["house"]["geometry"]
+    geometry.append(drawn_coarse | {"lod": "1.2", "boundaries": shells})
+    with pytest.warns(GuessWarning, match="1 buildings .* more than 3 m lower"):
+        buildings, _, counts = stand(written(tmp_path / "a.json", json.dumps(document)))
+    assert buildings.height_m.max() == pytest.approx(30)
+    assert counts["solids_coarse"] == 1
 
 
 def test_a_footprint_has_the_measured_height_or_levels(tmp_path):
