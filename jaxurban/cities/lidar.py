@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.fill import fillnodata
+from scipy.ndimage import maximum_filter
 
 from jaxurban.cities.raster import heights_of_surface, unit_of_heights_m
-from jaxurban.errors import InputError, readable
-from jaxurban.io.issues import ReadIssues
+from jaxurban.errors import GuessWarning, InputError, readable, warn
+from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.sniff import in_own_words
 from jaxurban.world.grid import check_on_earth, known_crs
 from jaxurban.world.raster import Raster
@@ -26,6 +28,9 @@ NOT_WHOLE = "{} is not whole, as its header names {:,} points and it holds {}: f
 POINTS_A_CELL = 4  # on average: of cells under evenly scattered points 2 % hold none
 MOST_CELLS = 2**24
 VOID_CELLS = 2  # so far from points are cells without any filled
+# Ground so far below all around, but for so few cells, is none: in metres, and in sides of cells.
+FAR_BELOW_M, FAR_BELOW_SIDES, MOST_LOW = 5.0, 2.0, 3
+AROUND = 7  # cells
 # What points are by their classes (ASPRS, LAS 1.4 R15, table 17). Any other class is built: bridges, wires, towers and
 # what a publisher defines. Ground are also key points of its model, water, rails, roads and the bottom of waters;
 # unclassified are also overlaps.
@@ -54,7 +59,7 @@ class Points(NamedTuple):
       surface: the highest points that are built, elsewhere the ground.
       plants: the highest points of plants, and of what is unclassified beside buildings.
       highest: of all points but noise.
-      counts: points by class; withheld ones are noise.
+      counts: points by class, of which withheld ones are noise, and cells whose ground is left out.
     """
 
     ground: Raster
@@ -72,6 +77,7 @@ def heights_of_points(
     Where points are neither built nor of the ground nothing stands. Cells without points take the heights around them.
     """
     roofs, issues = heights_of_surface(name, points.surface, terrain, crs)
+    issues[ReadIssue.GROUND_FAR_BELOW] = points.counts[ReadIssue.GROUND_FAR_BELOW]
     is_bare = np.isnan(points.surface.values) & np.isfinite(points.highest.values)
     values = np.where(is_bare, np.float32(0), roofs.values)
     return replace(roofs, values=fillnodata(values, np.isfinite(values), VOID_CELLS)), issues
@@ -143,6 +149,15 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
             raise InputError(NOT_WHOLE.format(name, counts.sum(), "more"))
 
     ground = -layers[GROUND]
+    is_low = _is_far_below(ground, max(FAR_BELOW_M, FAR_BELOW_SIDES * side))
+    ground[is_low] = np.nan
+    num_low = int(is_low.sum())
+    if num_low:
+        warn(
+            f"the lowest ground points in {num_low:,} cells of the terrain {name} lie far below all "
+            "around and are left out: classify them as noise, or give another terrain if they are a true pit",
+            GuessWarning,
+        )
     num_built = 3 if kind == "surface" else 2 - bool(counts[LAYER_OF == BUILT].any())
     roofs = np.fmax.reduce(layers[:num_built])
     plants = np.fmax.reduce(layers[num_built:GROUND], initial=np.nan)
@@ -155,8 +170,26 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
         on_grid(surface),
         on_grid(plants),
         on_grid(highest),
-        {f"of class {number}": int(count) for number, count in enumerate(counts)},
+        {f"of class {number}": int(count) for number, count in enumerate(counts)}
+        | {ReadIssue.GROUND_FAR_BELOW: num_low},
     )
+
+
+def _is_far_below(ground: np.ndarray, far_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` whether all ground around a cell lies so far above it, but for that in `MOST_LOW` - 1 cells.
+
+    A pit has more cells.
+
+    Args:
+      ground: ``[Y, X]`` metres, NaN without a point.
+      far_m: how far.
+    """
+    is_low = maximum_filter(np.nan_to_num(ground, nan=-np.inf), 3) - ground > far_m
+    padded = np.pad(np.nan_to_num(ground, nan=np.inf), AROUND // 2, constant_values=np.inf)
+    around = sliding_window_view(padded, (AROUND, AROUND))[is_low].reshape(-1, AROUND**2)
+    others_m = np.partition(around, MOST_LOW)[:, MOST_LOW]
+    is_low[is_low] = np.isfinite(others_m) & (others_m - ground[is_low] > far_m)
+    return is_low
 
 
 def _check_all_held(path: str | Path, header: Any) -> None:

@@ -34,6 +34,7 @@ class ReadIssue(StrEnum):
       MIN_HEIGHTS_UNUSABLE: the same of the heights of undersides.
       HEIGHTS_BELOW_LEVELS: less than 1.5 m for each level: the levels count instead.
       CELLS_BELOW_GROUND: taken for ground.
+      GROUND_FAR_BELOW: cells of lidar points whose ground lies far below all around, left out.
       CELLS_NEAR_GROUND: of a surface model: taken for ground.
       BLOCKS_WITHOUT_COUNT: kept with 0 people: no row, or a count that cannot be read.
       COUNTS_UNREADABLE: of these, those with a count that cannot be read.
@@ -72,6 +73,7 @@ class ReadIssue(StrEnum):
     MIN_HEIGHTS_UNUSABLE = "min_heights_unusable"
     HEIGHTS_BELOW_LEVELS = "heights_below_levels"
     CELLS_BELOW_GROUND = "cells_below_ground"
+    GROUND_FAR_BELOW = "ground_far_below"
     CELLS_NEAR_GROUND = "cells_near_ground"
     BLOCKS_WITHOUT_COUNT = "blocks_without_count"
     COUNTS_UNREADABLE = "counts_unreadable"

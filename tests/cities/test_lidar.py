@@ -12,7 +12,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.cities import lidar, plausible
 from jaxurban.cities.lidar import read_points
-from jaxurban.errors import InputError
+from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.sampling import raster_values
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_files import UTM, X, Y, refused, write_raster
@@ -159,6 +159,68 @@ def test_a_surface_counts_all_that_stands(tmp_path):
 def test_points_that_are_withheld_do_not_stand(tmp_path):
     city = city_of(write_points(tmp_path / "a.laz", withheld=IN_WIRE))
     assert at(city.roofs, 50, 80.1) == 0
+
+
+LOW_PLACES = {  # metres east and north of ground points that are far too low
+    "one": [(50, 50)],
+    "three together": [(50, 50), (50.5, 50), (50, 50.5)],
+    "two in different cells": [(50, 50), (51, 50)],
+    "at the border": [(99.5, 50)],
+    "in a corner": [(99.5, 99.5)],
+    "beside the house": [(19.5, 30)],
+    "several": [(50, 50), (90, 10), (10, 90), (70, 60)],
+}
+
+
+@pytest.mark.parametrize("depth_m", [12.0, 90.0])
+@pytest.mark.parametrize("spacing", [1, 3])  # of points kept, by column and by row
+@pytest.mark.parametrize("where", LOW_PLACES)
+def test_ground_points_far_below_all_around_are_left_out_and_counted(
+    tmp_path, monkeypatch, where, spacing, depth_m
+):
+    keep = (np.rint(EAST * 2) % spacing == 0) & (np.rint(NORTH * 2) % spacing == 0)
+    up = UP.copy()
+    for east, north in LOW_PLACES[where]:
+        away_m = np.where(keep & (UP == 0), np.hypot(EAST - east, NORTH - north), np.inf)
+        up[np.argmin(away_m)] = -depth_m
+    monkeypatch.setattr(sys.modules[__name__], "UP", up)
+    path = write_points(tmp_path / "a.laz", keep=keep)
+    with pytest.warns(GuessWarning, match=r"of the terrain .*a\.laz' lie far below all around"):
+        points = read_points(path, "height", None)
+    assert np.nanmin(points.ground.values) == pytest.approx(GROUND_M, abs=1e-3)
+    assert 1 <= points.counts["ground_far_below"] <= len(LOW_PLACES[where])
+
+
+def test_a_cell_without_its_low_point_is_level_and_counted(tmp_path, monkeypatch):
+    is_low = (abs(EAST - 50) < 0.2) & (abs(NORTH - 50) < 0.2)
+    monkeypatch.setattr(sys.modules[__name__], "UP", np.where(is_low, -90.0, UP))
+    city = city_of(write_points(tmp_path / "a.laz"))
+    assert_scene(city)
+    assert at(city.terrain, 50.05, 50.05) == pytest.approx(GROUND_M, abs=1e-3)
+    assert city.read_issues["ground_far_below"] == 1
+
+
+@pytest.mark.parametrize("spacing", [1, 3, 6])
+@pytest.mark.parametrize(
+    "pit",
+    [
+        (EAST > 45) & (EAST < 55) & (NORTH > 45) & (NORTH < 55),  # an excavation
+        (EAST > 45) & (EAST < 51) & (NORTH > 5) & (NORTH < 75),  # an underpass
+        (EAST > 50) & (NORTH < 18),  # a quarry at the border
+    ],
+    ids=["excavation", "underpass", "quarry"],
+)
+def test_a_pit_stays(tmp_path, monkeypatch, pit, spacing):
+    keep = (np.rint(EAST * 2) % spacing == 0) & (np.rint(NORTH * 2) % spacing == 0)
+    up = np.where(pit & (UP == 0), -15.0, UP)
+    monkeypatch.setattr(sys.modules[__name__], "UP", up)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        points = read_points(write_points(tmp_path / "a.laz", keep=keep), "height", None)
+    assert points.counts["ground_far_below"] == 0
+    deep = points.ground.values < GROUND_M - 14
+    area_m2 = deep.sum() * points.ground.transform[0] ** 2
+    assert area_m2 == pytest.approx(0.25 * pit.sum(), rel=0.6)
 
 
 def test_where_no_point_is_nothing_is_known_but_small_voids_are_filled(tmp_path):
