@@ -569,6 +569,9 @@ TABLE: dict[str, dict[str, Any]] = {
         "return_altitude_m": Case(
             90.0, {"mission": lambda: on.path().save(on.a_file("back.plan"), end="return")}
         ),
+        "autopilot": Case(
+            "ardupilot", {"mission": lambda: on.a_mission(".plan")}, refused="leave autopilot="
+        ),
         "geoid_m": Case(-33.0, {"mission": lambda: on.a_mission(".kml"), "heights": "ellipsoid"}),
         "constraints": zone,
         "time": LATER,
@@ -939,6 +942,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--heights home_above_ground_m": "5",
             "--home": Case("-73.9985,40.7565", ("{kml}", "--heights=home")),
             "--return-altitude": "90",
+            "--autopilot": Case("px4", ("{kml}", "--heights=home")),
             "--no-fly": "{home}/zone.geojson",
             "--require": "lidar>=0.5",
             "--rules clearance_m": "60",

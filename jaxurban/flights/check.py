@@ -13,6 +13,7 @@ import shapely
 
 from jaxurban.checks import typed, values_given
 from jaxurban.errors import InputError
+from jaxurban.flights.by_autopilot import worse_of
 from jaxurban.flights.check_result import MissionCheck
 from jaxurban.flights.contacts import Prisms, buildings_of, union_m
 from jaxurban.flights.flown import figures_of
@@ -20,7 +21,7 @@ from jaxurban.flights.item_returns import by_item, departures_of, return_lines
 from jaxurban.flights.judge import SPAN, below_home, judged, placed
 from jaxurban.flights.legs import Flight, flight_of
 from jaxurban.flights.missions.mission import read_mission
-from jaxurban.flights.missions.parts import Datum, Leg, LonLat, Mission, Place
+from jaxurban.flights.missions.parts import Datum, FlownBy, Leg, LonLat, Mission, Place
 from jaxurban.io.city import City
 from jaxurban.io.zone import unknown_cautions
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
@@ -49,6 +50,7 @@ def check(
     home: LonLat | None = None,
     home_above_ground_m: float | None = None,
     return_altitude_m: float | None = None,
+    autopilot: FlownBy | None = None,
     geoid_m: float | None = None,
     constraints: Constraints | None = None,
     time: str | Sequence[str] | None = None,
@@ -70,6 +72,9 @@ def check(
     without data or beyond the maps' altitudes (except for take-off and landing), or if they pass over a guessed roof or
     within the clearance of one.
 
+    Where the file does not say which autopilot flies it, as no ``.waypoints`` does, it is judged as ArduPilot and as
+    PX4 fly it, and the worse counts. What only one of them meets is named by it.
+
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
       mission: a file (``.plan``, ``.waypoints``, ``.kmz``, ``.wpml``, ``.kml``, ``.gpx``, ``.geojson``, ``.csv``,
@@ -81,6 +86,7 @@ def check(
       home_above_ground_m: how high home lies above the ground, for a flight that starts from a roof: heights above home
         count from there. Left out, home is on the ground.
       return_altitude_m: height above home at which the vehicle returns, for a file that has none.
+      autopilot: ``"ardupilot"`` or ``"px4"``, for a file that names none.
       geoid_m: height of the geoid above the ellipsoid, for heights above the ellipsoid.
       constraints: zones, bounds, clearances and vehicle; left out, those that a path was planned under, and of a file
         those of the maps' scenario.
@@ -97,8 +103,8 @@ def check(
       `MissionCheck`, whose ``state`` is ``"clean"`` only if every leg was judged and nothing was found.
 
     Raises:
-      InputError: a file that cannot be read or leaves open what heights are above, a time that the maps do not hold,
-        a wrong limit, or sources that are named and are not those of the maps.
+      InputError: a file that cannot be read, leaves open what heights are above or names another autopilot, a time that
+        the maps do not hold, a wrong limit, or sources that are named and are not those of the maps.
 
     Examples:
       >>> flight = ju.plan(maps, start, goal, altitude_m=60.0, snap=True, on_ground=True)
@@ -119,7 +125,8 @@ def check(
         not_negative(name, value)
     if isinstance(mission, PlannedPath):
         constraints = constraints or constraints_of(mission)
-    of_file = {"heights": heights, "home": home, "return_altitude_m": return_altitude_m}
+    of_file: dict[str, Any] = {"heights": heights, "home": home, "autopilot": autopilot}
+    of_file["return_altitude_m"] = return_altitude_m
     mission = _mission_of(mission, values_given(of_file), home_above_ground_m)
     named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
@@ -139,29 +146,35 @@ def check(
     known = shapely.box(*maps.grid.bounds_m)
     if city and not standing.reason:  # a raster of plants is looked at in the maps' cells alone
         known = shapely.intersection(known, city.known_ground) if city.plants else city.known_ground
-    flight = flight_of(mission, Elevation(maps, city), geoid_m)
+    ground = Elevation(maps, city)
     buildings = buildings_of(maps, city)
-    findings, unknown = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
-    figures |= figures_of(flight, maps, times, time_of_day)
-    exceeded, open_limits = _against_maxima(flight, figures, max_no_fix_m, max_people)
-    open_limits += unknown_cautions(limits.zones)
-    # Empty tables are left out, since their columns would change the types of the others.
-    tables = [table for table in (findings, exceeded) if len(table)]
-    findings = pd.concat(tables or [findings])
-
-    departures = departures_of(flight, buildings, known, limits)
-    return MissionCheck(
-        findings=findings.reset_index(drop=True),
-        not_judged=_not_judged(maps, standing, flight, buildings, unknown, open_limits),
-        figures=figures,
-        outlines=standing.outlines + flight.ground_note,
-        limits=limits.to_dict(),
-        flight=flight,
-        maps=maps,
-        zones=limits.zones,
-        left_out=left_out(maps, city),
-        return_altitudes=by_item(departures),
-        return_lines=return_lines(departures, flight, ceiling_m),
+    checks, departures = {}, []
+    for name, way in mission.ways.items():
+        flight = flight_of(way, ground, geoid_m)
+        findings, unknown = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
+        flown = figures | figures_of(flight, maps, times, time_of_day)
+        exceeded, open_limits = _against_maxima(flight, flown, max_no_fix_m, max_people)
+        open_limits += unknown_cautions(limits.zones)
+        # Empty tables are left out, since their columns would change the types of the others.
+        tables = [table for table in (findings, exceeded) if len(table)]
+        departures.append(departures_of(flight, buildings, known, limits))
+        checks[name] = MissionCheck(
+            findings=pd.concat(tables or [findings]),
+            not_judged=_not_judged(maps, standing, flight, buildings, unknown, open_limits),
+            figures=flown,
+            outlines=standing.outlines + flight.ground_note,
+            limits=limits.to_dict(),
+            flight=flight,
+            maps=maps,
+            zones=limits.zones,
+            left_out=left_out(maps, city),
+        )
+    result = worse_of(checks)
+    returns = pd.concat(departures)
+    return replace(
+        result,
+        return_altitudes=by_item(returns),
+        return_lines=return_lines(returns, result.flight, ceiling_m),
     )
 
 
@@ -256,7 +269,7 @@ def _mission_of(
         mission = read_mission(mission, **of_file)
     elif of_file:
         raise InputError(
-            "heights, home and return_altitude_m are of a file, and mission was read already: leave them out"
+            "heights, home, return_altitude_m and autopilot are of a file, and mission was read already: leave them out"
         )
     if isinstance(mission, PlannedPath):
         mission = _in_the_air(mission)

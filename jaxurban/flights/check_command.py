@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, Literal, TypedDict
 
 import click
 
@@ -89,6 +89,11 @@ class Corridor(TypedDict):
     "return_altitude_m",
     help="Height above home at which the autopilot returns.",
 )
+@click.option(
+    "--autopilot",
+    type=click.Choice(["ardupilot", "px4"]),
+    help="Which one flies it, where the file names none.  [default: both, and the worse counts]",
+)
 @grouped_options("constraints", constraints_given, ZONES, KEPT_CLEAR)
 @click.option(
     "--time",
@@ -114,6 +119,7 @@ def check_command(
     heights: Settings,
     home: Point | None,
     return_altitude_m: float | None,
+    autopilot: Literal["ardupilot", "px4"] | None,
     times: tuple[str, ...],
     time_of_day: str | None,
     limits: Settings,
@@ -139,7 +145,11 @@ def check_command(
         if not output.suffix:
             click.get_current_context().with_resource(Workspace.held(output, "check"))
     parsed = read_mission(
-        mission, heights=heights.pop("above", None), home=home, return_altitude_m=return_altitude_m
+        mission,
+        heights=heights.pop("above", None),
+        home=home,
+        return_altitude_m=return_altitude_m,
+        autopilot=autopilot,
     )
     maps = jaxurban.open_maps(folder, resolution_m)
     result = jaxurban.check(

@@ -12,6 +12,7 @@ import pandas as pd
 
 from jaxurban.checks import typed
 from jaxurban.flights.legs import Flight
+from jaxurban.flights.missions.parts import AUTOPILOTS
 from jaxurban.io.files import write_whole
 from jaxurban.io.results import Result
 from jaxurban.io.tables import SUFFIXES, records_of, write_table
@@ -47,13 +48,14 @@ class MissionCheck(Result):
         ``to_m`` along the mission, ``height_m`` above the ground there, ``building_m``
         (the roof's height), ``by_m`` (metres inside, below the ground or short of the clearance; of a limit, beyond it)
         ``is_guessed``; ``clear_m`` (the height above the ground that clears it, up to the ceiling) and ``aside_m`` (how
-        far to go to the right, or to the left where it is negative), NaN where none is known. A limit, for which none
-        is looked for, is placed where the fix is first and last lost, or at the densest kilometre.
+        far to go to the right, or to the left where it is negative), NaN where none is known; ``autopilot``, the only
+        one that meets it (``""``: all that it is judged for). A limit, for which no way out is looked for, is placed
+        where the fix is first and last lost, or at the densest kilometre.
       not_judged: sentences.
       figures: lengths, metres without a fix, people, and clearances by cells, as in the report of a route.
       outlines: ``"exact outlines"``, or ``"by cells"``, with the reason.
       limits: the constraints, as `Constraints.to_dict` has them.
-      flight: the mission over the maps.
+      flight: the mission over the maps; of those of several autopilots that with the most findings.
       maps: the maps.
       left_out: a sentence on the kinds of obstacles that were not looked at, ``""`` if none was left out: as the maps'
         ``[obstacles]`` say, and in maps that are older than it plants and wires.
@@ -120,11 +122,22 @@ class MissionCheck(Result):
         return numbers
 
     @property
+    def autopilots(self) -> tuple[str, ...]:
+        """Those for which it was judged: both where nothing says which flies the mission, and the worse counts."""
+        return self.flight.mission.autopilots
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know of the mission that leaves the state as it is, such as that it ends in the air: sentences."""
+        return self.flight.mission.notes
+
+    @property
     def facts(self) -> dict[str, str]:
         """The state, the mission, how buildings were looked at, and the figures."""
         return {
             "state": self.sentence,
             "mission": self.flight.mission.name,
+            "autopilot": " and ".join(AUTOPILOTS[name] for name in self.autopilots),
             "buildings": self.outlines,
             **self.numbers,
         }
@@ -138,6 +151,7 @@ class MissionCheck(Result):
         parts = {
             "finding": self.sentences,
             "not judged": self.not_judged,
+            "note": self.notes,
             "guessed": [guess.name for guess in self.maps.guesses],
             "return": self.return_lines,
         }
@@ -150,6 +164,7 @@ class MissionCheck(Result):
         return [
             *(Caution(sentence, "limit", "finding") for sentence in self.sentences),
             *(Caution(sentence, "guess", "not judged") for sentence in self.not_judged),
+            *map(Caution, self.notes),
             *caution_of_guesses(self.maps.guesses),
         ]
 
@@ -157,9 +172,9 @@ class MissionCheck(Result):
         """Return the check as plain, JSON-ready values.
 
         Returns:
-          ``state``, ``sentence``, ``mission``, ``findings`` (a dictionary each), ``not_judged``, ``figures``,
-          ``outlines``, ``limits``, ``guesses``, ``return_altitudes`` (a dictionary each) and ``return_lines``; None
-          stands for a number that is missing.
+          ``state``, ``sentence``, ``mission``, ``autopilots``, ``findings`` (a dictionary each), ``not_judged``,
+          ``notes``, ``figures``, ``outlines``, ``limits``, ``guesses``, ``return_altitudes`` (a dictionary each) and
+          ``return_lines``; None stands for a number that is missing.
 
         Examples:
           >>> record = ju.check(maps, path, sources=city, max_people=30).to_dict()
@@ -170,8 +185,10 @@ class MissionCheck(Result):
             "state": self.state,
             "sentence": self.sentence,
             "mission": self.flight.mission.name,
+            "autopilots": list(self.autopilots),
             "findings": records_of(self.findings),
             "not_judged": list(self.not_judged),
+            "notes": list(self.notes),
             "figures": dict(self.figures),
             "outlines": self.outlines,
             "limits": dict(self.limits),
@@ -228,9 +245,14 @@ class MissionCheck(Result):
         return [file]
 
 
+def flown_by(autopilot: str, sentence: str) -> str:
+    """Return a sentence with the only autopilot of which it is true, if it is not true of all (``""``)."""
+    return f"Flown by {AUTOPILOTS[autopilot]}: {sentence}" if autopilot else sentence
+
+
 def _sentence_of(row: Mapping[Any, Any]) -> str:
     """Return a finding, a row of `MissionCheck.findings`, as a sentence."""
-    sentence = f"{row['what'][:1].upper()}{row['what'][1:]}"
+    sentence = flown_by(row["autopilot"], f"{row['what'][:1].upper()}{row['what'][1:]}")
     worst = "above all " if row["kind"] == "limit" else ""
     where = f"{worst}from {row['along_m']:.0f} to {row['to_m']:.0f} m along the mission, toward item {row['item']:.0f}"
     place = f"{row['lon']:.6f}, {row['lat']:.6f}"

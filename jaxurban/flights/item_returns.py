@@ -147,7 +147,8 @@ def least_clear(
 def by_item(departures: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each item that a mission flies to, from `departures_of`: that of the last stretch before it.
 
-    ``way_m`` is the least altitude from wherever on the way to it, NaN where it is not known.
+    ``way_m`` is the least altitude from wherever on the way to it, NaN where it is not known. Of a mission that two
+    autopilots fly otherwise, with the departures of both, the rows are the second's, and ``way_m`` is of both.
     """
     way_m = departures.groupby("item")["least_m"].agg(lambda least_m: least_m.max(skipna=False))
     last = departures.drop_duplicates("item", keep="last")

@@ -47,7 +47,8 @@ class Flight:
     Attributes:
       mission: the mission.
       steps: what of it has a height and lies within the maps.
-      variants: the same of the ways that another autopilot, or another reading of the file, flies beside it.
+      variants: the same of the ways that another setting of the autopilot, or another reading of the file, flies
+        beside it.
       unknown: what has none or lies outside: its ``kind``, ``reason``, ``from_m`` and ``to_m`` along the mission.
       length_m: of the whole mission, in the air, without variants.
       ground: over which it is judged.

@@ -63,6 +63,8 @@ def check_report(result: MissionCheck) -> ResultReport:
             "result": result,
             "findings": Markdown("\n".join(findings) or "None."),
             "not_judged": bullets(result.not_judged) or "All of it was judged.",
+            "autopilot": result.facts["autopilot"],
+            "notes": bullets(f"Note: {text}" for text in result.notes),
             "numbers": bullets(f"{name}: {fact}" for name, fact in result.numbers.items()),
             "returns": bullets(result.return_lines) or "No item, or no home, to return from.",
             "limits": describe_constraints(result.limits) or "none",

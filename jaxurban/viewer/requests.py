@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, ValidationError
 
 from jaxurban.errors import InputError
-from jaxurban.flights.missions.parts import Datum
+from jaxurban.flights.missions.parts import Datum, FlownBy
 from jaxurban.settings import DEFAULTS, Rules, UnknownHeights
 
 MOST_LETTERS = 64 * 1024  # of zones
@@ -58,13 +58,14 @@ class Plan(RulesRequest):
 class MissionRequest(RulesRequest):
     """A mission of another tool.
 
-    ``file`` is the name of its file, ``data`` its bytes in base64, and ``heights`` what its heights are above where it
-    leaves that open.
+    ``file`` is the name of its file, ``data`` its bytes in base64, ``heights`` what its heights are above, and
+    ``autopilot`` which one flies it, where it leaves these open.
     """
 
     file: Name
     data: Base64Bytes
     heights: Datum | None = None
+    autopilot: FlownBy | None = None
 
 
 class View(Request):

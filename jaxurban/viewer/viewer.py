@@ -449,7 +449,7 @@ class Viewer:
         """Return what the page shows of a mission, as `jaxurban.check` judges it; its file is nowhere written.
 
         Returns:
-          As HTML ``state``, a sentence, ``findings``, a button each, ``not-judged`` and ``figures``. In metres
+          As HTML ``state``, a sentence, and notes, ``findings``, a button each, ``not-judged`` and ``figures``. Metres:
           ``lines``, ``[N, 2, 2]`` the straight parts over the maps, ``places``, ``[F, 2]`` of the findings, and
           ``heights``, ``[F]`` theirs above the ground, None where that is not known, and ``cruise_m``, the median
           height above the ground without climbs and landings, None where none is known.
@@ -462,7 +462,9 @@ class Viewer:
         at = self.place(query.at)
         result = check(
             self.maps,
-            read_mission(query.file, heights=query.heights, data=query.data),
+            read_mission(
+                query.file, heights=query.heights, autopilot=query.autopilot, data=query.data
+            ),
             constraints=self.plans.constraints(query),
             time=at.time,
             time_of_day=at.time_of_day,
@@ -470,13 +472,14 @@ class Viewer:
         )
         facts = result.facts
         state = STATE_LEVELS[result.state], facts.pop("state")
+        notes = (("note", text) for text in result.notes)
         figures = [f"return: {text}" for text in result.return_lines]
         figures += [f"{name}: {fact}" for name, fact in facts.items() if fact]
         found = result.findings
         steps = result.flight.steps
         cruise_m = pd.Series(steps.z_m[~result.flight.is_on_site(steps), 0]).median()
         return {
-            "state": sentences([state]),
+            "state": sentences([state, *notes]),
             "findings": markup.findings(result),
             "not-judged": sentences(
                 ("guess", OF_COMMAND.sub("(with jaxurban check DIR FILE ", f"Not judged: {text}"))

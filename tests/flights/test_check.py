@@ -477,7 +477,7 @@ def test_geofences_of_a_file_are_judged_as_points_every_20_cm_are(open_scene, tm
         file.write_text(plan_text(open_scene, places_m, geofence, firmware))
         found = checked(open_scene, file, time=OFF).findings.query("kind == 'zone'")
 
-        # The truth: a place breaches an exclusion, all inclusions (PX4) or one of them (ArduPilot).
+        # The truth: a place breaches an exclusion, or one of the inclusions.
         legs_m = [
             np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / DENSE_M))
             for a, b in pairwise(places_m)
@@ -487,7 +487,7 @@ def test_geofences_of_a_file_are_judged_as_points_every_20_cm_are(open_scene, tm
         parts = [*geofence["polygons"], *geofence["circles"]]
         out = [is_in_area(part, lon, lat) for part in parts if not part["inclusion"]]
         inside = [is_in_area(part, lon, lat) for part in parts if part["inclusion"]]
-        is_kept = np.any(inside, axis=0) if firmware == 12 else np.all(inside, axis=0)
+        is_kept = np.all(inside, axis=0)
         is_breach = np.any([*out, ~is_kept if inside else np.zeros(len(lon), bool)], axis=0)
 
         num_steps = is_breach.sum()

@@ -314,7 +314,7 @@ def read_with(read, geofence: dict):
 
 
 def test_a_geofence_is_read_and_what_of_it_is_damaged_is_named(read):
-    mission = read_with(read, fence_of() | {"breachReturn": [LAT, LON, 30]})
+    mission = read_with(read, fence_of())
     assert mission.not_judged == ()
     assert [zone.label for zone in mission.zones] == ["'geofence polygon 1' of 'mission.plan'"]
     assert mission.zones[0].polygon.area == pytest.approx(0.5)
@@ -354,15 +354,15 @@ def test_a_fence_around_the_whole_earth_closes_nothing(read):
     assert (mission.zones, mission.not_judged) == ([], ())
 
 
-def test_of_several_areas_to_stay_in_px4_asks_for_one_and_others_for_all(read):
+def test_of_several_areas_to_stay_in_all_are_asked_for(read):
     fence = fence_of(inclusion=True)
     fence["polygons"] *= 2
     fence["polygons"] += [fence_of(outline=[[0, 0], [0, 1], [1, 0]], inclusion=True)["polygons"][0]]
-    for firmware, num in {12: 1, 3: 3, 99: 3}.items():
+    for firmware in (12, 3, 0):
         plan = plan_of(BOX, firmwareType=firmware) | {"geoFence": fence}
         zones = read(json.dumps(plan)).zones
-        assert [zone.name for zone in zones] == ["land outside the geofence"] * num
-        assert zones[-1].polygon.area == pytest.approx(360 * 180 - (1.0 if num == 1 else 0.5))
+        assert [zone.name for zone in zones] == ["land outside the geofence"] * 3
+        assert zones[-1].polygon.area == pytest.approx(360 * 180 - 0.5)
 
 
 def test_a_geofence_across_the_antimeridian_is_on_both_sides(read):
@@ -388,10 +388,32 @@ def test_fences_and_rally_points_are_named_once(read):
     assert read(waypoints_of(*rows), "fence.txt").not_judged == said
 
 
-def test_an_aeroplane_is_never_judged_whole(read):
-    mission = read(BOX, mission={"vehicleType": 1, "cruiseSpeed": 18, "hoverSpeed": 5})
-    assert "aeroplane" in mission.not_judged[0]
+def test_a_point_to_return_to_after_a_breach_is_not_judged(read):
+    said = ("its breachReturn point is not judged",)
+    assert read_with(read, fence_of() | {"breachReturn": [LAT, LON, 30]}).not_judged == said
+    assert read_with(read, fence_of() | {"breachReturn": None}).not_judged == ()
+
+
+# Numbers of MAV_TYPE in MAVLink's minimal.xml.
+@pytest.mark.parametrize(
+    ("number", "name"),
+    [
+        (1, "an aeroplane"),
+        *((number, "a VTOL aeroplane") for number in range(19, 26)),
+        *((4, "a helicopter"), (10, "a rover"), (11, "a boat"), (12, "a submarine")),
+        *((number, "no multicopter") for number in (7, 36, "car")),
+    ],
+)
+def test_a_vehicle_that_is_no_multicopter_is_not_judged_and_named(read, number, name):
+    mission = read(BOX, mission={"vehicleType": number, "cruiseSpeed": 18, "hoverSpeed": 5})
+    said = f"the vehicle is {name} (vehicleType {number}), and only multicopters are judged"
+    assert mission.not_judged == (said,)
     assert mission.speed_m_s == 18
+
+
+@pytest.mark.parametrize("number", [None, 0, 2, 13, 14, 15, 29, 35, 43])
+def test_a_multicopter_is_judged(read, number):
+    assert read(BOX, mission={"vehicleType": number}).not_judged == ()
 
 
 def test_rows_of_waypoints_have_home_first_and_comments(read):
@@ -403,8 +425,10 @@ def test_rows_of_waypoints_have_home_first_and_comments(read):
         Leg(here(0, 0.0, "ground"), here(0, 30), "climb", 1),
         Leg(here(0, 30), here(0, 0.0, "ground"), "land", 2),
     )
-    no_home = read(waypoints_of((22, 3, NONE, LAT, LON, 9), (16, 3, NONE, LAT, 9.0, 9)), "m.txt")
+    text = waypoints_of((22, 3, NONE, LAT, LON, 9), (16, 3, NONE, LAT, 9.0, 9))
+    no_home = read(text, "m.txt", autopilot="px4")
     assert (no_home.home, no_home.not_judged, len(no_home.legs)) == (None, (NO_HOME,), 1)
+    assert read(text, "m.txt").other.legs == no_home.legs
 
 
 def kml(mode="", coordinates=f"{LON},{LAT},40 8.55,{LAT},45", more=""):

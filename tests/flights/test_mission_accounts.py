@@ -458,7 +458,7 @@ def test_parrots_rows_are_those_of_ardupilot_but_row_0_may_be_flown(read, frame)
     for name in ("m.mavlink", "m.waypoints"):
         mission = read(rows, name)
         assert (mission.home is not None) == (frame == 0)
-        assert mission.autopilot == "unknown"
+        assert mission.autopilots == ("ardupilot", "px4")
         assert (mission.not_judged == ()) == (frame == 0)
     assert [leg.end.height_m for leg in mission.legs][-1] == 30
 

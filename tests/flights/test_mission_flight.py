@@ -6,7 +6,7 @@ import pyproj
 import pytest
 
 from jaxurban.flights.missions.mission import read_mission
-from jaxurban.flights.missions.parts import Leg, Place
+from jaxurban.flights.missions.parts import Place
 from tests.flights.test_mission import BOX, JUMP, RETURN, TAKEOFF, here, item, plan_of
 
 ARDUPILOT, PX4, GENERIC = 3, 12, 0
@@ -33,14 +33,6 @@ def circle(at, radius_m=30.0, turns=2.0):
     return item(TURNS, at=at, params=(turns, 0, radius_m, None))
 
 
-def main_legs(mission) -> list[Leg]:
-    return [leg for leg in mission.legs if not leg.is_variant]
-
-
-def variants(mission) -> list[Leg]:
-    return [leg for leg in mission.legs if leg.is_variant]
-
-
 def test_ardupilot_flies_to_the_nearest_point_of_a_circle_and_on_from_there(read):
     mission = read([*BOX[:2], circle(3), item(at=3, z_m=80)])
     to_edge, turns, onward = mission.legs[-3:]
@@ -55,15 +47,13 @@ def test_ardupilot_flies_to_the_nearest_point_of_a_circle_and_on_from_there(read
 
 def test_px4_stops_at_the_centre_and_of_an_unknown_autopilot_both_are_judged(read):
     items = [*BOX[:2], circle(3), item(at=4)]
-    px4, unknown = read(items, PX4), read(items, GENERIC)
+    ardupilot, px4, unknown = read(items), read(items, PX4), read(items, GENERIC)
     ways = [(leg.kind, leg.start, leg.end) for leg in px4.legs[-3:]]
     assert ways[0] == ("leg", here(1, 50.0), here(3, 50.0))
     assert ways[2] == ("leg", here(3, 50.0), here(4, 50.0))
-    assert [leg[:4] for leg in main_legs(unknown)] == [leg[:4] for leg in px4.legs]
-    to_edge, onward = variants(unknown)
-    assert (onward.start, onward.end) == (to_edge.end, here(4, 50.0))
-    assert apart_m(to_edge.end, here(3, 50)) == pytest.approx(30.0, abs=1e-6)
-    assert (px4.not_judged, unknown.not_judged) == ((), ())
+    assert [way.legs for way in unknown.ways.values()] == [ardupilot.legs, px4.legs]
+    assert unknown.autopilots == ("ardupilot", "px4")
+    assert px4.not_judged == unknown.not_judged == ()
 
 
 @pytest.mark.parametrize("firmware", [ARDUPILOT, GENERIC])
@@ -183,6 +173,7 @@ def test_an_item_that_does_not_go_on_by_itself_is_the_end_but_for_ardupilot(
     read, firmware, is_flown
 ):
     mission = read([*BOX[:2], item(at=2, autoContinue=False), item(at=3)], firmware)
+    mission = mission.other or mission
     assert [leg.item for leg in mission.legs][-1] == (4 if is_flown else 3)
     assert (mission.not_judged == ()) == is_flown
 
@@ -192,12 +183,9 @@ def test_a_pause_is_not_known_to_end(read):
 
 
 def test_a_landing_of_an_unknown_autopilot_comes_down_from_either_height(read):
-    legs = read([*BOX[:2], item(21, at=3, frame=10, z_m=0)], GENERIC).legs
-    down = [leg for leg in legs if leg.kind == "land"]
-    assert [(leg.start.datum, leg.is_variant) for leg in down] == [
-        ("home", True),
-        ("ground", False),
-    ]
+    mission = read([*BOX[:2], item(21, at=3, frame=10, z_m=0)], GENERIC)
+    down = [way.legs[-1] for way in mission.ways.values()]
+    assert [(leg.start.datum, leg.kind) for leg in down] == [("ground", "land"), ("home", "land")]
     assert {leg.end for leg in down} == {here(3, 0.0, "ground")}
 
 

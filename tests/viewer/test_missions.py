@@ -92,6 +92,8 @@ def test_a_mission_is_judged_in_the_words_of_check_and_placed_on_the_map(files, 
         assert f"building, by {by_m:.1f} m" in button
     for text in result.not_judged:
         assert html.escape(f"Not judged: {text}") in shown["not-judged"]
+    for text in result.notes:
+        assert html.escape(text) in shown["state"]
     for text in (*result.return_lines, *result.numbers.values(), result.outlines):
         assert html.escape(text) in shown["figures"]
     corner_m = np.array(GRID.bounds_m[:2])
@@ -182,6 +184,8 @@ def test_a_file_that_is_none_is_refused_in_a_sentence_and_no_file_is_left_or_rea
         "Base64": [{"data": "abcde"}],
         "does not say what its heights": [mission(files["findings"], heights=None)],
         "heights": [{"heights": "roofs"}],
+        "autopilot": [{"autopilot": "inav"}],
+        "leave autopilot='ardupilot' out": [mission(files["clean"], autopilot="ardupilot")],
         "at.2: ": [{"at": [0, 0]}],
     }
     for words, parts in refused.items():

@@ -1,8 +1,8 @@
 """The geofence of a plan of QGroundControl, version 2, as no-fly zones: areas to keep out of, and all outside others.
 
 Autopilots look at degrees and count crossings, so that a place which an outline goes around twice is outside of it. Of
-several areas to stay in PX4 asks for any one (``Geofence::isInsidePolygonOrCircle``), ArduPilot for all of them, unless
-its ``FENCE_OPTIONS`` say otherwise.
+several areas to stay in both ask for all at once: ArduPilot unless its ``FENCE_OPTIONS`` say otherwise, PX4 since 1.15
+(``Geofence::isInsidePolygonOrCircle``: ``checksPass &=``; its pull request 22394). Before, PX4 asked for any one.
 """
 
 from collections.abc import Mapping
@@ -20,15 +20,12 @@ CHORDS = 180  # of a quarter of a circle: they leave one of 1 km by 1 cm
 MOST_RADIUS_M = 1e6  # around a city no such circle holds a pole, about which degrees go round
 
 
-def read_geofence(
-    geofence: Mapping[str, Any], source: str, any_is_enough: bool
-) -> tuple[list[Zone], list[str]]:
+def read_geofence(geofence: Mapping[str, Any], source: str) -> tuple[list[Zone], list[str]]:
     """Return where a geofence lets nobody fly, and a sentence on each area that is damaged.
 
     Args:
       geofence: the object of JSON.
       source: name of the file.
-      any_is_enough: of several areas to stay in the autopilot asks for any one, or else for all.
     """
     zones: dict[bool, list[Zone]] = {False: [], True: []}  # by whether a flight must stay in it
     notes = []
@@ -45,10 +42,7 @@ def read_geofence(
             except (LookupError, TypeError, ValueError):
                 notes.append(f"{name} is damaged, and not judged")
 
-    inside = [zone.polygon for zone in zones[True]]
-    if any_is_enough and inside:
-        inside = [shapely.union_all(inside)]
-    lands = [EARTH - area for area in inside]
+    lands = [EARTH - zone.polygon for zone in zones[True]]
     outside = [
         Zone("land outside the geofence", land, source=source)
         for land in lands

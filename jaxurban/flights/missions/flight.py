@@ -12,7 +12,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from jaxurban.flights.missions.parts import (
+    BOTH,
     CORNER_M,
+    ENDS_IN_AIR,
     GEOD,
     NO_HOME,
     Account,
@@ -23,6 +25,7 @@ from jaxurban.flights.missions.parts import (
     Place,
     Profile,
 )
+from jaxurban.public import listed
 
 WAYPOINT = 16
 RETURN = 20
@@ -70,6 +73,12 @@ FRAMES: dict[int, Datum] = {
     10: "ground",
     11: "ground",
 }
+# FeasibilityChecker.cpp (checkHorizontalDistanceToFirstWaypoint; up to 1.13 MIS_DIST_WPS, too) and mission_base.cpp
+# (do_need_move_to_item) of PX4, and its issue 18239.
+ZERO_PLACE = (
+    "PX4 takes 0, 0 for a place, and refuses the mission or flies there; here items that have it ({}) stay where the "
+    "vehicle is."
+)
 MOST_FLOWN = 1_000_000  # after so many flown items, repeated ones counted too, jumps are not followed any more
 # So near to a circle's centre, as a share of its radius and in metres, ArduPilot begins the circle in the direction in
 # which it is headed.
@@ -136,7 +145,6 @@ class State(NamedTuple):
       home: longitude and latitude in degrees; None if home is not known.
       ground: the place on the ground from which the vehicle takes off; None if it has not landed at a known place.
       at: where the vehicle is; None while that is not known.
-      beside: where the vehicle would be instead of ``at`` under another autopilot; None if all autopilots agree.
       since: number of the item after which the vehicle's place was not known any more; 0 before the first item.
       has_moved_home: whether an item has moved home, so that heights above home are not known.
     """
@@ -144,7 +152,6 @@ class State(NamedTuple):
     home: LonLat | None
     ground: Place | None
     at: Place | None = None
-    beside: Place | None = None
     since: int = 0
     has_moved_home: bool = False
 
@@ -156,20 +163,22 @@ class FlownItems:
     ArduPilot knows of none. It lands at the height that it has, and comes down at the landing's place. After an item
     that is not understood no place is known until the next one is reached.
 
-    A circle (`LOITER_TURNS`) is flown by PX4's multicopters as a stop at its centre. ArduPilot flies to the nearest
-    point of the circle and, after whole turns, on from there. Where the autopilot is not known, both are legs, one of
-    them a variant. Every other loiter is a stop at its place, and a circle around it as an aeroplane would fly.
+    A circle (`LOITER_TURNS`) is refused by PX4, and taken as a stop at its centre. ArduPilot flies to the nearest point
+    of the circle and, after whole turns, on from there. Every other loiter is a stop at its place, and a circle around
+    it as an aeroplane would fly.
 
     A return rises to the return altitude, or keeps its own height where that is more. Near home the autopilots rise
     less by their defaults: that is a variant.
 
     Jumps are flown as often as they say, straight from the item before to their target. What follows where the flight
     stays, or comes round without end, is not flown. A height that an item leaves open is that with which the vehicle
-    comes to it, each time it does.
+    comes to it, each time it does. After the last item autopilots hover where they are.
 
     Attributes:
       legs: the legs in the order flown, each once.
       not_judged: a sentence for each thing that the legs leave out, or may not show as it is flown.
+      notes: sentences on what to know of it, such as that it ends in the air.
+      other: the same as PX4 flies it, if the autopilot is not known, and ArduPilot flies this; else None.
       speed_m_s: the first speed that an item sets; None if no item sets one.
       accounts: what became of each item.
       autopilot, return_altitude_m: by which it is flown; see `Mission`.
@@ -192,9 +201,13 @@ class FlownItems:
         """
         self.legs: list[Leg] = []
         self.not_judged: list[str] = []
+        self.notes: list[str] = []
         self.speed_m_s: float | None = None
         self._items = items
         self.autopilot = autopilot
+        is_open = autopilot == "unknown"
+        self._flyer = BOTH[0] if is_open else autopilot
+        self.other = FlownItems(items, home, return_altitude_m, BOTH[1]) if is_open else None
         self.return_altitude_m = return_altitude_m
         self._state = State(home, home and Place(*home, 0.0, "ground"))
         self._after: dict[
@@ -206,6 +219,13 @@ class FlownItems:
         self._is_jump = False  # it is flown to from a jump
         self._run()
         self.accounts = self._accounts()
+        if self._state.at and not self._why_ended:
+            last = self.legs[-1].item if self.legs else self._number
+            self.notes.append(ENDS_IN_AIR.format("item", last))
+        placed = [item for item in items if item.command in PLACED]
+        zeros = [str(item.number) for item in placed if (item.lon, item.lat) == (0, 0)]
+        if zeros and autopilot in ("px4", "unknown"):
+            self.notes.append(ZERO_PLACE.format(listed(zeros)))
 
     def _run(self) -> None:
         """Fly all items and their jumps, until the last one.
@@ -257,10 +277,10 @@ class FlownItems:
             self._say("its jumps are flown more often than is followed")
 
     def _stays_at(self, item: Item) -> bool:
-        """Return whether the vehicle stays at an item for good, by any autopilot that may fly it, and say so."""
+        """Return whether the vehicle stays at an item for good, and say so."""
         if item.command == LOITER_UNLIM:
             self._end(item, "circles without end")
-        elif not item.goes_on and self.autopilot != "ardupilot":
+        elif not item.goes_on and self._flyer != "ardupilot":
             self._end(item, "does not go on by itself (autoContinue)")
         return bool(self._why_ended)
 
@@ -304,7 +324,7 @@ class FlownItems:
         elif command in TAKEOFFS:
             self._take_off(item)
         elif command == WAYPOINT:
-            self._fly_to(item, beside=self._beside_zero(item))
+            self._fly_to(item)
         elif command in LOITERS:
             self._loiter(item)
         elif command in LANDINGS:
@@ -341,15 +361,13 @@ class FlownItems:
         ``ground`` is where the vehicle has landed, from which a take-off may follow; None if it has not landed at a
         known place.
         """
-        self._state = self._state._replace(at=None, beside=None, since=item.number, ground=ground)
+        self._state = self._state._replace(at=None, since=item.number, ground=ground)
 
     def _move(
         self,
         item: Item,
         place: Place,
         kind: str = "leg",
-        *,
-        beside: Place | None = None,
     ) -> None:
         """Add the leg to a place, if the vehicle is elsewhere, and move it there.
 
@@ -357,7 +375,6 @@ class FlownItems:
           item: the item that the vehicle flies to.
           place: where the leg ends.
           kind: of the leg; see `Leg`.
-          beside: where the vehicle would be then under another autopilot; left out, all autopilots agree.
         """
         at = self._state.at
         assert at is not None
@@ -365,13 +382,10 @@ class FlownItems:
             kind = "jump"
         self._is_jump = False
         profile: Profile = "straight" if item.is_straight else "frame"
-        leg = Leg(at, place, kind, item.number, profile=profile, turn_m=self._turn_m(item))
-        variant = leg._replace(start=self._state.beside or at, end=beside or place, is_variant=True)
-        if variant[:2] != leg[:2] and variant.start != variant.end:
-            self.legs.append(variant)
         if at != place:
-            self.legs.append(leg)
-        self._state = self._state._replace(at=place, beside=beside, ground=None)
+            turn_m = self._turn_m(item)
+            self.legs.append(Leg(at, place, kind, item.number, profile=profile, turn_m=turn_m))
+        self._state = self._state._replace(at=place, ground=None)
 
     def _place_of(self, item: Item) -> Place | None:
         """Return where an item leads: its own place and height, or those of the vehicle if the item leaves them out.
@@ -391,21 +405,11 @@ class FlownItems:
                     f"item {item.number} keeps its height, and whether above the ground or level is not known"
                 )
             return at._replace(lon=lon, lat=lat)
-        if at and item.height_m == 0 and self.autopilot == "ardupilot":
+        if at and item.height_m == 0 and self._flyer == "ardupilot":
             return _kept(at, lon, lat, item.datum)
         datum = item.datum or "home"
         is_open = self._state.has_moved_home and datum == "home"
         return Place(lon, lat, math.nan if is_open else item.height_m, datum)
-
-    def _beside_zero(self, item: Item) -> Place | None:
-        """Return where ArduPilot would fly for a height of 0, which it takes for "keep your height".
-
-        The result is None for an item without a place or with another height, and if the autopilot is known.
-        """
-        at = self._state.beside or self._state.at
-        if at is None or item.height_m != 0 or not item.has_place or self.autopilot != "unknown":
-            return None
-        return _kept(at, item.lon, item.lat, item.datum)
 
     def _turn_m(self, item: Item) -> float:
         """Return how near to an item, in metres, the vehicle turns to the next one; 0 if it stops at the item.
@@ -416,14 +420,12 @@ class FlownItems:
             return CORNER_M
         if item.params[0] > 0:
             return 0.0
-        return CORNER_M if self.autopilot == "ardupilot" else max(CORNER_M, item.params[1])
+        return CORNER_M if self._flyer == "ardupilot" else max(CORNER_M, item.params[1])
 
     def _fly_to(
         self,
         item: Item,
         place: Place | None = None,
-        *,
-        beside: Place | None = None,
     ) -> None:
         """Add the straight leg to a place and move the vehicle there.
 
@@ -433,7 +435,6 @@ class FlownItems:
         Args:
           item: the item that the vehicle flies to.
           place: where the leg ends; left out, where the item leads.
-          beside: as of `_move`.
         """
         place = place or self._place_of(item)
         if place is None:
@@ -443,7 +444,7 @@ class FlownItems:
             self._begin(item)
             self._state = self._state._replace(at=place, ground=None)
         else:
-            self._move(item, place, beside=beside)
+            self._move(item, place)
 
     def _begin(self, item: Item) -> None:
         """Say that the way to an item is not judged: the climb from home, or the way from where the place was lost."""
@@ -460,35 +461,26 @@ class FlownItems:
         The climb begins where the vehicle is, else on the ground where it stands; where neither is known, it only flies
         to the item. Drones of DJI climb at least to a height above home, the first parameter, and fly level.
         """
-        if self.autopilot == "ardupilot":
+        if self._flyer == "ardupilot":
             item = item._replace(lon=0.0, lat=0.0)
         start = self._state.at or self._state.ground
         if start is None:
             self._fly_to(item)
             return
-        self._leave_circle(item)
         above = self._place_of(item._replace(lon=start.lon, lat=start.lat)) or start
         place = None
-        if self.autopilot == "dji":
+        if self._flyer == "dji":
             above = Place(start.lon, start.lat, item.params[0], "home", level_with=above)
             place = above._replace(lon=item.lon, lat=item.lat)
         self._state = self._state._replace(at=start)
         self._move(item, above, "climb")
         if item.has_place:
-            self._fly_to(item, place, beside=above if self.autopilot == "unknown" else None)
-
-    def _leave_circle(self, item: Item) -> None:
-        """Say, where autopilots differ in where the vehicle is, that the way of one of them is not judged."""
-        if self._state.beside:
-            self._say(
-                f"the way to item {item.number} is judged from one of two places where it may begin, by autopilot"
-            )
-            self._state = self._state._replace(beside=None)
+            self._fly_to(item, place)
 
     def _loiter(self, item: Item) -> None:
         """Fly to the item and circle there, at the radius that it names; hover where it names none (0 or NaN).
 
-        Turns are flown from the nearest point of the circle, from the centre, or from either as a variant.
+        ArduPilot's turns are flown from the nearest point of the circle, all others from the centre.
         """
         centre = self._place_of(item)
         if centre is None:
@@ -497,18 +489,15 @@ class FlownItems:
         # Negative radii circle the other way; NaN becomes 0, too.
         radius_m = max(0.0, abs(item.params[LOITERS[item.command]]))
         is_turns = item.command == LOITER_TURNS
-        has_edge = is_turns and radius_m > 0 and self.autopilot != "px4"
+        has_edge = is_turns and radius_m > 0 and self._flyer == "ardupilot"
         edge = None
-        start = self._state.beside or self._state.at
-        if has_edge and start and not 0 < item.params[0] < 1:
-            edge = _edge(start, centre, radius_m)
-        if edge and self.autopilot == "ardupilot":
-            begin, beside = edge, None
-        else:
-            begin, beside = centre, edge
-        if item.command == LOITER_TO_ALT:
-            self._level_to(item, centre)
-        self._fly_to(item, begin, beside=beside)
+        at = self._state.at
+        if has_edge and at and not 0 < item.params[0] < 1:
+            edge = _edge(at, centre, radius_m)
+        begin = edge or centre
+        if item.command == LOITER_TO_ALT and at and self._flyer == "px4":  # climbs there
+            self._fly_to(item, _kept(at, centre.lon, centre.lat, "geoid"))
+        self._fly_to(item, begin)
         self.legs.append(Leg(begin, centre, "loiter", item.number, radius_m))
         if is_turns and not radius_m:
             self._say(f"item {item.number} circles at a radius that is the autopilot's own")
@@ -518,18 +507,6 @@ class FlownItems:
             self._say(
                 f"the way out of the circle of item {item.number} is not judged: where it begins is not known"
             )
-
-    def _level_to(self, item: Item, centre: Place) -> None:
-        """Fly level to above or below a place, to climb or sink there, as PX4 does before a loiter to a height."""
-        at = self._state.at
-        if at is None or self.autopilot == "ardupilot":
-            return
-        level = _kept(at, centre.lon, centre.lat, "geoid")
-        if self.autopilot == "px4":
-            self._fly_to(item, level)
-        elif level != centre:
-            way = Leg(at, level, "leg", item.number, is_variant=True)
-            self.legs += [way, way._replace(start=level, end=centre)]
 
     def _land(self, item: Item) -> None:
         """Fly level to above the item's place if it has one, and descend to the ground.
@@ -545,12 +522,9 @@ class FlownItems:
             return
         if item.has_place:
             # PX4 flies level; ArduPilot in the frame of the item, so that it may follow the ground.
-            level = _kept(at, item.lon, item.lat, "geoid")
-            in_frame = _kept(at, item.lon, item.lat, item.datum)
-            at = level if self.autopilot == "px4" else in_frame
-            self._fly_to(item, at, beside=level if self.autopilot == "unknown" else None)
-        else:
-            self._leave_circle(item)
+            datum = "geoid" if self._flyer == "px4" else item.datum
+            at = _kept(at, item.lon, item.lat, datum)
+            self._fly_to(item, at)
         ground = Place(at.lon, at.lat, 0.0, "ground")
         self._move(item, ground, "land")
         self._lose(item, ground)
@@ -561,7 +535,6 @@ class FlownItems:
         Autopilots return at different heights. The way at the greatest of them is flown; those at the others are
         variants.
         """
-        self._leave_circle(item)
         home, at = self._state.home, self._state.at
         if home is None or at is None:
             why = "where it begins" if home else "home"
@@ -570,7 +543,7 @@ class FlownItems:
             return
         ground = Place(*home, 0.0, "ground")
         _, _, apart_m = GEOD.inv(at.lon, at.lat, *home)
-        heights_m = levels_m(self.autopilot, apart_m, self.return_altitude_m)
+        heights_m = levels_m(self._flyer, apart_m, self.return_altitude_m)
         for level_m in heights_m:
             is_variant = level_m < heights_m[-1]
             # It rises first, or stays as high as it is where that is more, then flies home level. Where the height is

@@ -18,9 +18,11 @@ from jaxurban.flights.missions.flight import (
     Item,
 )
 from jaxurban.flights.missions.parts import (
+    AUTOPILOTS,
     Autopilot,
     DamagedError,
     Datum,
+    FlownBy,
     LonLat,
     Mission,
     check_place,
@@ -35,9 +37,12 @@ from jaxurban.flights.missions.parts import (
 HEADER = "QGC WPL 110"
 OF_PARROT = "QGC WPL 120"  # with the same columns
 NUM_COLUMNS = 12
-AUTOPILOTS: dict[Any, Autopilot] = {3: "ardupilot", 12: "px4"}  # by the number of MAV_AUTOPILOT
+FIRMWARES: dict[Any, FlownBy] = {3: "ardupilot", 12: "px4"}  # by the number of MAV_AUTOPILOT
 SURVEYS = ("survey", "CorridorScan")  # complex items that hold the simple ones that are flown
-PLANES = (1, *range(19, 26))  # MAV_TYPE: fixed wing, and VTOL of every kind
+# Numbers of MAV_TYPE: multicopters (0: a generic vehicle), and names of some that are none.
+MULTICOPTERS = (None, 0, 2, 13, 14, 15, 29, 35, 43)
+VEHICLES = dict.fromkeys(range(19, 26), "a VTOL aeroplane")
+VEHICLES |= {1: "an aeroplane", 4: "a helicopter", 10: "a rover", 11: "a boat", 12: "a submarine"}
 # QGroundControl's AltitudeMode, and what heights are above by it; None where it does not say it. The last of these
 # makes metres above the geoid of metres above ground.
 RELATIVE, ABSOLUTE, CALCULATED = 1, 2, 3
@@ -63,7 +68,13 @@ KNOWN = (
 Home = tuple[LonLat | None, float | None]  # its place, and its elevation above the geoid
 
 
-def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: float) -> Mission:
+def read_plan(
+    data: bytes,
+    name: str,
+    home: LonLat | None,
+    return_altitude_m: float,
+    autopilot: FlownBy | None = None,
+) -> Mission:
     """Return the mission of a plan of QGroundControl.
 
     Args:
@@ -71,9 +82,11 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
       name: of the file, for messages.
       home: longitude and latitude in degrees in place of the plan's; None takes the plan's.
       return_altitude_m: metres above home, NaN where it is not known.
+      autopilot: which flies it, None as the plan says.
 
     Raises:
-      InputError: the plan holds no item, or leads nowhere, or it is a file of fences or rally points.
+      InputError: the plan holds no item, or leads nowhere, it is a file of fences or rally points, or another autopilot
+        flies it.
       DamagedError: it is no plan, or an item cannot be read.
     """
     plan = _object(json_of(data), "it")
@@ -89,7 +102,8 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
     rows = [item for row in rows for item in _unfolded(row)]
     items = [_item_of_plan(row, number) for number, row in enumerate(rows, 1)]
     _check_jumps(items, "item")
-    autopilot = AUTOPILOTS.get(mission.get("firmwareType"), "unknown")
+    named: Autopilot = FIRMWARES.get(mission.get("firmwareType"), "unknown")
+    flown_by = flyer_of(name, named, autopilot)
 
     # The plan's home is a list of latitude, longitude and elevation, of which some or all may be missing.
     position = (*(mission.get("plannedHomePosition") or ()), None, None, None)[:3]
@@ -113,32 +127,46 @@ def read_plan(data: bytes, name: str, home: LonLat | None, return_altitude_m: fl
             if value and (is_fence or isinstance(value, dict | list))
         ]
         notes += [f"its part {key[:40]!r} is not judged" for key in held if key not in parts]
-    zones, damaged = read_geofence(geofence, name, any_is_enough=autopilot == "px4")
+    zones, damaged = read_geofence(geofence, name)
     notes += damaged
+    if geofence.get("breachReturn"):
+        notes.append("its breachReturn point is not judged")
     rally = _object(plan.get("rallyPoints") or {}, "its rallyPoints")
     if any(value for key, value in rally.items() if key != "version"):
         notes.append("its rally points are not judged")
-    is_plane = mission.get("vehicleType") in PLANES
-    if is_plane:
-        notes.append("the vehicle is an aeroplane, whose turns and glide path are not judged")
-    speed_m_s = number_of("its speed", mission.get("cruiseSpeed" if is_plane else "hoverSpeed"))
-    flown = FlownItems(items, start[0], return_altitude_m, autopilot)
+    vehicle = mission.get("vehicleType")
+    speed = "hoverSpeed"
+    if vehicle not in MULTICOPTERS:
+        speed = "cruiseSpeed"
+        what = VEHICLES.get(vehicle, "no multicopter")
+        notes.append(
+            f"the vehicle is {what} (vehicleType {str(vehicle)[:40]}), and only multicopters are judged"
+        )
+    speed_m_s = number_of("its speed", mission.get(speed))
+
+    flown = FlownItems(items, start[0], return_altitude_m, flown_by)
     return replace(mission_of(name, flown, len(rows), start, notes, speed_m_s), zones=zones)
 
 
 def read_waypoints(
-    data: bytes, name: str, home: LonLat | None, return_altitude_m: float
+    data: bytes,
+    name: str,
+    home: LonLat | None,
+    return_altitude_m: float,
+    autopilot: FlownBy | None,
 ) -> Mission:
     """Return the mission of a file of ``QGC WPL 110``, or of Parrot's ``QGC WPL 120``, which has the same columns.
 
-    Row 0 is home if it is a waypoint, as ArduPilot's ground stations write it: then take-offs have no place. Otherwise
-    it is the first item, and the file names no home. Parrot's drones fly to row 0, unless it is above the sea.
+    Row 0 is home if it is a waypoint, as ArduPilot's ground stations write it, and as QGroundControl reads it for PX4,
+    too (``MissionController.cc``, ``_loadTextMissionFile``). Otherwise it is the first item, and the file names no
+    home. Parrot's drones fly to row 0, unless it is above the sea. The file does not say which autopilot flies it.
 
     Args:
       data: the bytes of the file, text.
       name: of the file, for messages.
       home: longitude and latitude in degrees in place of the file's; None takes the file's.
       return_altitude_m: metres above home, NaN where it is not known.
+      autopilot: which flies it, None where that is not known.
 
     Raises:
       InputError: it is no such file, holds no item, or leads nowhere.
@@ -157,7 +185,6 @@ def read_waypoints(
     num_rows = sum(row not in (b"", b"#") for row in rows) - 1  # but the header
 
     start: Home = (home, None)
-    autopilot: Autopilot = "unknown"
     first_key = items[0].key or 0 if items else 0
     is_first_home = items and items[0].key == 0 and items[0].command in (0, WAYPOINT)
     if is_first_home and (header == HEADER or items[0].datum == "geoid"):
@@ -166,12 +193,27 @@ def read_waypoints(
         num_rows -= 1
         elevation_m = first.height_m if first.datum == "geoid" else math.nan
         start = home_of(home, first.lon, first.lat, elevation_m)
-        autopilot = "ardupilot" if header == HEADER else "unknown"
     is_ordered = [item.key for item in items] == list(range(first_key, first_key + len(items)))
     notes = [] if is_ordered else ["its rows are not numbered in their order, so jumps may differ"]
     numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
-    flown = FlownItems(numbered, start[0], return_altitude_m, autopilot)
+
+    flown = FlownItems(numbered, start[0], return_altitude_m, autopilot or "unknown")
     return mission_of(name, flown, num_rows, start, notes, speed_m_s=math.nan)
+
+
+def flyer_of(name: str, named: Autopilot, asked: FlownBy | None) -> Autopilot:
+    """Return which autopilot flies a mission: that which its file names, or else which its user names.
+
+    Raises:
+      InputError: they name two.
+    """
+    if asked is None or asked == named:
+        return named
+    if named != "unknown":
+        raise InputError(
+            f"{name!r} is a mission for {AUTOPILOTS[named]}, by what it says itself: leave autopilot={asked!r} out"
+        )
+    return asked
 
 
 def mission_of(
@@ -201,6 +243,10 @@ def mission_of(
     if not flown.legs and not sentences:
         raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
     planned_m_s = speed_m_s if speed_m_s > 0 else None
+    other = None
+    if flown.other and (flown.other.legs, flown.other.not_judged) != (flown.legs, flown.not_judged):
+        other = mission_of(name, flown.other, num_rows, start, notes, speed_m_s)
+        other = replace(other, autopilot="unknown")
     return Mission(
         name,
         tuple(flown.legs),
@@ -211,6 +257,8 @@ def mission_of(
         num_things=num_rows,
         autopilot=flown.autopilot,
         return_altitude_m=flown.return_altitude_m,
+        notes=tuple(flown.notes),
+        other=other,
     )
 
 

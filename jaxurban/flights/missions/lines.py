@@ -18,6 +18,7 @@ from jaxurban.errors import InputError
 from jaxurban.flights.missions.parts import (
     CORNER_M,
     DATUMS,
+    ENDS_IN_AIR,
     NO_HOME,
     SAME_M,
     Account,
@@ -171,6 +172,7 @@ def mission_of_lines(
     notes = []
     if not home:
         notes.append(f"the climb from home is not judged, as {NO_HOME}")
+    is_log = bool(lines[-1].times)
     if len(lines) > 1:
         notes.append(f"it holds {len(lines)} lines, and the ways between them are not judged")
     return Mission(
@@ -182,6 +184,7 @@ def mission_of_lines(
         speed_m_s=None,
         accounts=tuple(accounts),
         num_things=num_positions,
+        notes=() if is_log else (ENDS_IN_AIR.format("point", last),),
     )
 
 

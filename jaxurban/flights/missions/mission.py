@@ -12,6 +12,7 @@
 | ``.kmz``, ``.wpml`` | waylines of DJI, or a KML | relativeToStartPoint: home; WGS84: ellipsoid |
 | ``.ulg`` of PX4 | fixes of the receiver | geoid |
 
+A file that names no autopilot, as no ``.waypoints`` does, is read as ArduPilot and as PX4 fly it (`Mission.other`).
 The geofence of a ``.plan`` is read too, as zones. Whatever else has a position is counted and not judged. Places are in
 WGS 84; a file that names another CRS or datum is refused, and so is one that gives a quantity twice with different
 values (`one_value`).
@@ -45,7 +46,7 @@ import pandas as pd
 from jaxurban.checks import finite, one_of, positive
 from jaxurban.errors import InputError, readable
 from jaxurban.flights.missions.dji import read_wpml, unzipped
-from jaxurban.flights.missions.items import read_plan, read_waypoints
+from jaxurban.flights.missions.items import flyer_of, read_plan, read_waypoints
 from jaxurban.flights.missions.lines import (
     csv_lines,
     geojson_lines,
@@ -56,6 +57,7 @@ from jaxurban.flights.missions.parts import (
     DATUMS,
     DamagedError,
     Datum,
+    FlownBy,
     LonLat,
     Mission,
     check_place,
@@ -92,6 +94,7 @@ def read_mission(
     heights: Datum | None = None,
     home: LonLat | None = None,
     return_altitude_m: float | None = None,
+    autopilot: FlownBy | None = None,
     data: bytes | None = None,
 ) -> Mission:
     """Return the mission of a file: its legs, and what of it is not judged.
@@ -102,12 +105,13 @@ def read_mission(
         absolute heights in KML are above.
       home: longitude and latitude in degrees, in place of the file's.
       return_altitude_m: metres above home at which the autopilot returns; left out, it is not known.
+      autopilot: which one flies it, where the file does not say it; left out, either may (`Mission.other`).
       data: bytes that are read in place of the file's, of which the name alone then counts.
 
     Raises:
       InputError: no such file, another format, a file of more than `MOST_BYTES`, a mission that is damaged, empty or
-        leads nowhere, a place that is not on the Earth, an invalid argument, or heights of which neither the file nor
-        ``heights`` says what they are above, or of which both say it.
+        leads nowhere, a place that is not on the Earth, an invalid argument, an autopilot other than the file's, or
+        heights of which neither the file nor ``heights`` says what they are above, or of which both say it.
     """
     path = Path(path)
     if heights is not None:
@@ -131,14 +135,15 @@ def read_mission(
             suffix, data, template = unzipped(data)
         if suffix in LINE_READERS:
             lines = mission_of_lines(path.name, *LINE_READERS[suffix](path, data), heights, home)
-            return replace(lines, return_altitude_m=return_m)
+            return replace(lines, return_altitude_m=return_m, autopilot=autopilot or "unknown")
         if heights is not None:
             raise InputError(
                 f"{path.name!r} says for each item what its height is above: leave heights={heights!r} out"
             )
         if suffix == ".wpml":
+            flyer_of(path.name, "dji", autopilot)
             return read_wpml(data, template, path.name, home, return_m)
-        return ITEM_READERS[suffix](data, path.name, home, return_m)
+        return ITEM_READERS[suffix](data, path.name, home, return_m, autopilot)
 
 
 def read_flight(path: str | Path) -> pd.DataFrame:

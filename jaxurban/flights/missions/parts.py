@@ -13,10 +13,15 @@ from jaxurban.io.zone import Zone
 
 Datum = Literal["home", "ground", "geoid", "ellipsoid"]  # what a height is above
 Profile = Literal["frame", "straight", "both"]  # how a leg runs between the heights of its ends
-Autopilot = Literal["ardupilot", "px4", "inav", "dji", "unknown"]
+FlownBy = Literal["ardupilot", "px4"]  # what a file may leave open
+Autopilot = FlownBy | Literal["inav", "dji", "unknown"]
+BOTH: tuple[FlownBy, ...] = get_args(FlownBy)
+AUTOPILOTS = {"ardupilot": "ArduPilot", "px4": "PX4", "inav": "INAV", "dji": "DJI"}
 LonLat = tuple[float, float]
 DATUMS: tuple[Datum, ...] = get_args(Datum)
 NO_HOME = "the file names no home"
+# There autopilots hover: of ArduCopter mode_auto.cpp, exit_mission; of PX4 mission_base.cpp, setEndOfMissionItems.
+ENDS_IN_AIR = "It ends in the air at {} {}: nothing in the file lands it or brings it home."
 MOST_HEIGHT_M = 100_000.0  # above or below any datum
 MOST = 1e15  # of any number of a file
 MOST_NAMED = 50  # sentences on what is not judged
@@ -62,8 +67,8 @@ class Leg(NamedTuple):
       profile: ``"frame"``: in the frame of its end, so that it follows the ground where the end's height is above the
         ground, and is straight otherwise; ``"straight"``: straight whatever the heights are above; ``"both"``: the file
         does not say which of the two.
-      is_variant: it is not flown after the leg before it, but beside the next leg that is none, as another autopilot or
-        another setting of it would fly.
+      is_variant: it is not flown after the leg before it, but beside the next leg that is none, as another setting of
+        the autopilot, or another reading of the file, would fly.
       turn_m: how near to its end the vehicle turns, and so cuts the corner there; 0 where it stops.
     """
 
@@ -109,8 +114,11 @@ class Mission:
       num_things: how many things the file holds, counted apart from ``accounts``: the two must agree.
       home_above_ground_m: how high home lies above the ground, on a roof; heights above home count from there.
       zones: where its geofence lets it not fly.
-      autopilot: which one flies it, as the file says.
+      autopilot: which one flies it, as the file or the user says; ``"unknown"``: either of `BOTH`.
       return_altitude_m: height above home at which it returns; NaN where neither the file nor the user names it.
+      notes: sentences on what to know of it that leave the verdict as it is.
+      other: of an unknown autopilot, the same mission as PX4 flies it, where ArduPilot flies it otherwise, as this one;
+        its zones are here. None where there is one way.
     """
 
     name: str
@@ -125,6 +133,18 @@ class Mission:
     zones: Sequence[Zone] = ()
     autopilot: Autopilot = "unknown"
     return_altitude_m: float = math.nan
+    notes: tuple[str, ...] = ()
+    other: "Mission | None" = None
+
+    @property
+    def ways(self) -> "dict[str, Mission]":
+        """The mission as each autopilot flies it, by its name; by ``""`` where there is one way."""
+        return {BOTH[0]: self, BOTH[1]: self.other} if self.other else {"": self}
+
+    @property
+    def autopilots(self) -> tuple[str, ...]:
+        """Those for which it is judged."""
+        return BOTH if self.autopilot == "unknown" else (self.autopilot,)
 
     @property
     def num_lost(self) -> int:

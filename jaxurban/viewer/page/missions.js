@@ -18,8 +18,9 @@ function missionsOf({ root, is, field, scene, ask, latest, tell, draw, view, rul
     draw();
   };
   const judge = latest(async () => { // again only where the file or a limit is another one
-    const { at, clearance_m, vertical_clearance_m, zones } = rules(), heights = field('heights').value || null;
-    const limits = { at: [0, ...at.slice(1)], clearance_m, vertical_clearance_m, zones, heights };
+    const { at, clearance_m, vertical_clearance_m, zones } = rules();
+    const [heights, autopilot] = ['heights', 'autopilot'].map(name => field(name).value || null);
+    const limits = { at: [0, ...at.slice(1)], clearance_m, vertical_clearance_m, zones, heights, autopilot };
     const now = [file, JSON.stringify(limits)];
     if (now.every((each, k) => each === asked[k])) return;
     asked = now;

@@ -165,7 +165,7 @@ class Draw:
 def items_case(draw: Draw, kind: str, items: list[Item], home_m: XY, **more: Any) -> Case:
     """Return a mission of items as a file, by any firmware that the format can name."""
     suffix = more.pop("suffix", None) or draw.one_of(*ITEM_FORMATS)
-    firmware = "ardupilot" if suffix == ".waypoints" else draw.one_of(*FIRMWARES)
+    firmware = "other" if suffix == ".waypoints" else draw.one_of(*FIRMWARES)
     if suffix == ".waypoints":
         items = [replace(item, is_calculated=False) for item in items]
         text = files.waypoints_text(files.waypoints(draw.world, items, home_m))

@@ -1,0 +1,35 @@
+"""Checks of one mission as each autopilot flies it: the worse counts, and what one alone meets is named by it."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import pandas as pd
+
+from jaxurban.flights.check_result import MissionCheck, flown_by
+
+ALONG = ["along_m", "to_m", "autopilot"]  # by which findings differ that are one
+DECIMALS = 6
+
+
+def worse_of(checks: Mapping[str, MissionCheck]) -> MissionCheck:
+    """Return checks, by the autopilot that flies the mission, as one: that with the most findings, and the others'."""
+    found, unknown = {}, {}
+    for name, check in checks.items():
+        found[name] = check.findings
+        unknown[name] = pd.DataFrame({"what": check.not_judged}, dtype=object)
+    not_judged = _as_one(unknown)
+    return replace(
+        max(checks.values(), key=lambda check: len(check.findings)),
+        findings=_as_one(found),
+        not_judged=[*map(flown_by, not_judged["autopilot"], not_judged["what"])],
+    )
+
+
+def _as_one(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Return the rows of tables, each once, with the only autopilot that has it, ``""`` for one of all."""
+    named = [table.assign(autopilot=name) for name, table in tables.items()]
+    # Empty tables are left out, since their columns would change the types of the others.
+    rows = pd.concat([table for table in named if len(table)] or named[:1], ignore_index=True)
+    values = rows.drop(columns=ALONG, errors="ignore").round(DECIMALS)
+    rows["autopilot"] = rows["autopilot"].mask(values.duplicated(keep=False), "")
+    return rows[~values.duplicated()].reset_index(drop=True)
