@@ -145,7 +145,7 @@ def or_compile() -> Iterator[None]:
         _warn(
             f"compiled programs are neither loaded nor kept here ({error}), as whoever can change one can run code. "
             "They are compiled instead. Let only yourself write to that place and what it holds (chown, chmod go-w), "
-            "or set XDG_CACHE_HOME to a folder that only you can write to."
+            "or set XDG_CACHE_HOME to a folder of yours alone."
         )
     except UNUSABLE:
         pass
