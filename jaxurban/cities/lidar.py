@@ -4,6 +4,7 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +13,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.fill import fillnodata
-from scipy.ndimage import maximum_filter
 
 from jaxurban.cities.raster import heights_of_surface, unit_of_heights_m
 from jaxurban.errors import GuessWarning, InputError, readable, warn
@@ -184,7 +184,12 @@ def _is_far_below(ground: np.ndarray, far_m: float) -> np.ndarray:
       ground: ``[Y, X]`` metres, NaN without a point.
       far_m: how far.
     """
-    is_low = maximum_filter(np.nan_to_num(ground, nan=-np.inf), 3) - ground > far_m
+    beside_m = ground
+    for step in product(
+        (-1, 0, 1), repeat=2
+    ):  # a border has the other one beside it, at worst for nothing
+        beside_m = np.fmax(beside_m, np.roll(ground, step, (0, 1)))
+    is_low = beside_m - ground > far_m
     padded = np.pad(np.nan_to_num(ground, nan=np.inf), AROUND // 2, constant_values=np.inf)
     around = sliding_window_view(padded, (AROUND, AROUND))[is_low].reshape(-1, AROUND**2)
     others_m = np.partition(around, MOST_LOW)[:, MOST_LOW]
