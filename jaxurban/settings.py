@@ -101,16 +101,16 @@ def time_said(time: str) -> str:
     return f"{time[:10]} {time[11:16]} UTC"
 
 
-def not_negative(name: str, value: float) -> float:
-    """Return metres that must not be below 0, as a float.
+def not_negative(name: str, value: float, unit: str = "metres") -> float:
+    """Return a number that must not be below 0, as a float.
 
     Raises:
       InputError: the value is below 0, or no finite number.
     """
-    metres = finite(name, value, "metres")
-    if metres < 0:
-        raise InputError(f"{name} must be 0 or a positive number of metres, got {metres:g}")
-    return metres
+    number = finite(name, value, unit)
+    if number < 0:
+        raise InputError(f"{name} must be 0 or a positive number of {unit}, got {number:g}")
+    return number
 
 
 def as_tuple(values: Any) -> tuple:
@@ -349,7 +349,7 @@ class Planning:
         their kind keep below; ``"guess"``, no more than the guess that the maps show. Left out: ``"likely"``, and
         ``"highest"`` in what the command ``plan`` writes to be flown.
       budget_s: seconds that a search may take.
-      seed: of sampling planners.
+      seed: of sampling planners; their budget is a time, so that one seed gives another route in each run.
 
     Raises:
       InputError: an unknown preset, a clearance below 0, a budget that is not above 0, or a seed below 0.

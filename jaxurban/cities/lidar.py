@@ -24,7 +24,7 @@ from jaxurban.world.raster import Raster
 CHUNK = 1_000_000  # points at once
 USED = 15  # layers of points, of laspy: place, class and flags
 FEW = 500  # what remains of the last packed byte may pass for points, 70 of a lattice
-NOT_WHOLE = "{} is not whole, as its header names {:,} points and it holds {}: fetch it again"
+NOT_WHOLE = "{} is not whole, as its number of points is {:,} by its header, and {} are in it: fetch it again"
 POINTS_A_CELL = 4  # on average: of cells under evenly scattered points 2 % hold none
 MOST_CELLS = 2**24
 VOID_CELLS = 2  # so far from points are cells without any filled

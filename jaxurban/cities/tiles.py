@@ -132,7 +132,8 @@ def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[s
             room -= sum(each.file_size + MEMBER_BYTES for each in archive.infolist())
             if room < 0:
                 raise ValueError(
-                    f"it unpacks to more than {MOST_TIMES} times its size or {MOST_UNPACKED / 2**30:g} GiB"
+                    f"it unpacks to more than {MOST_TIMES} times its size or {MOST_UNPACKED / 2**30:g} GiB, with "
+                    f"{MEMBER_BYTES >> 10} kB for each of its {len(archive.infolist()):,} files"
                 )
             archive.extractall(folder)
             yield from _files(folder, name, room)

@@ -10,10 +10,10 @@ from jaxurban.progress import LOG
 from jaxurban.terminal.common import (
     FLAG,
     FOLDER,
+    NUMBER,
     PATH,
     PRESET,
     RESOLUTION,
-    SHOWN,
     SOURCES,
 )
 from jaxurban.terminal.options import command
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 @click.option(
     "--export", type=PATH, metavar="PAGE.html", help="Write one page that shows the maps, and end."
 )
-@SHOWN(
+@NUMBER(
     "--size",
     "size_mib",
-    type=click.FloatRange(min=1),
     default=25,
+    show_default=True,
     help="Largest size of --export, MiB.",
 )
 @click.option(

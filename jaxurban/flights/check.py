@@ -120,9 +120,10 @@ def check(
     """
     # The arguments, the mission as it was read, and the times of the flight: None stands for the maps' first time.
     maps = as_maps(maps)
-    most = {"max_no_fix_m": max_no_fix_m, "max_people": max_people, "ceiling_m": ceiling_m}
-    for name, value in values_given(most).items():
+    for name, value in values_given({"max_no_fix_m": max_no_fix_m, "ceiling_m": ceiling_m}).items():
         not_negative(name, value)
+    if max_people is not None:
+        not_negative("max_people", max_people, "people")
     if isinstance(mission, PlannedPath):
         constraints = constraints or constraints_of(mission)
     of_file: dict[str, Any] = {"heights": heights, "home": home, "autopilot": autopilot}

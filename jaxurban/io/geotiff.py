@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
@@ -232,12 +232,18 @@ def _parts(ds: xr.Dataset, layer: _Layer) -> Iterator[np.ndarray]:
 
 
 @contextmanager
-def _writing() -> Iterator[None]:
-    """Raise OSError where GDAL fails, as on a full disk; rasterio has no public class for all that it raises then."""
+def _writing(folder: str, grid: Grid, dtype: np.dtype) -> Iterator[None]:
+    """Raise OSError where GDAL fails; rasterio has no public class for all that it raises then.
+
+    GDAL does not say that the disk is full, so that the system is asked: twice the map is written into the folder.
+    """
     try:
         yield
     except Exception as error:
         if isinstance(error, SystemError) or type(error).__module__.partition(".")[0] == "rasterio":
+            with TemporaryFile(dir=folder) as file:
+                for _ in range(2 * grid.num_rows):
+                    file.write(bytes(grid.num_cols * dtype.itemsize))
             raise OSError(f"GDAL could not write it ({error})") from error
         raise
 
@@ -302,7 +308,11 @@ def write_cog(
     # Overviews go through a scratch file of GDAL's own, on which Zstandard would spend a third of all time; without
     # compression GDAL chooses other cells as the nearest.
     quick = rasterio.Env(COG_TMP_COMPRESSION="PACKBITS")
-    with _writing(), quick, TemporaryDirectory(SCRATCH_SUFFIX, ".plain.", path.parent) as folder:
+    with (
+        quick,
+        TemporaryDirectory(SCRATCH_SUFFIX, ".plain.", path.parent) as folder,
+        _writing(folder, grid, dtype),
+    ):
         plain = Path(folder) / "plain.tif"
         row = 0
         with rasterio.open(

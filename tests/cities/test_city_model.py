@@ -628,6 +628,14 @@ def test_what_cannot_be_joined_is_refused(tmp_path, monkeypatch):
         list(tiles_module._files(bomb, "a.zip", 2**20))
 
 
+def test_an_archive_of_many_empty_files_is_refused_for_their_number(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        for number in range(4000):
+            archive.writestr(f"{number}.gml", b"")
+    with pytest.raises(ju.InputError, match="with 16 kB for each of its 4,000 files"):
+        read_tiles(tmp_path / "a.zip")
+
+
 ENTITY = '<!DOCTYPE a SYSTEM "http://127.0.0.1:9/a.dtd">'
 
 

@@ -316,7 +316,9 @@ NUM = len(EAST)
 def test_a_header_that_names_another_number_of_points_is_refused_at_once(tmp_path, crs, number):
     path = write_points(tmp_path / "a.las", crs=crs)
     changed(path, **{"long" if "+" in crs else "short": number})
-    refused(city_of, path, None, f"its header names {number:,} points and it holds {NUM:,}")
+    refused(
+        city_of, path, None, f"number of points is {number:,} by its header, and {NUM:,} are in it"
+    )
 
 
 @pytest.mark.parametrize("crs", [UTM, CRS])
@@ -324,14 +326,19 @@ def test_a_header_that_names_another_number_of_points_is_refused_at_once(tmp_pat
 def test_packed_points_are_as_many_as_the_header_names(tmp_path, crs, number):
     path = write_points(tmp_path / "a.laz", crs=crs)
     changed(path, **{"long" if "+" in crs else "short": number})
-    refused(city_of, path, None, "names .* points and it holds more|damaged or cut short")
+    refused(city_of, path, None, "by its header, and more are in it|damaged or cut short")
 
 
 def test_no_number_of_points_makes_reading_endless(tmp_path, monkeypatch):
     monkeypatch.setattr(lidar, "MOST_CELLS", 2**16)
     for name in ("a.las", "a.laz"):
         path = changed(write_points(tmp_path / name), long=2**63)
-        refused(city_of, path, None, "names 9,223,372,036,854,775,808 points|damaged or cut short")
+        refused(
+            city_of,
+            path,
+            None,
+            "number of points is 9,223,372,036,854,775,808|damaged or cut short",
+        )
 
 
 def test_no_length_of_packed_points_makes_room_for_more_than_the_file_holds(tmp_path, monkeypatch):
@@ -357,7 +364,7 @@ def test_a_file_that_broke_off_is_refused(tmp_path, num_bytes):
         begin, size = reader.header.offset_to_point_data, reader.header.point_format.size
     data = path.read_bytes()
     cut = data[: begin + NUM // 2 * size + num_bytes]
-    refused(city_of, path, cut, f"names {NUM:,} points and it holds {NUM // 2:,}")
+    refused(city_of, path, cut, f"is {NUM:,} by its header, and {NUM // 2:,} are in it")
     path.write_bytes(data + bytes(num_bytes))
     assert_scene(city_of(path))
 

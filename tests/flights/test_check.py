@@ -613,6 +613,12 @@ def test_the_map_of_a_short_mission_is_a_part_of_the_maps_with_zones_and_home(op
     assert outline.vertices.max(axis=0) - scene.corner_m == pytest.approx([990, 990])
 
 
+def test_a_limit_of_people_is_a_number_of_people(open_scene):
+    ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
+    with pytest.raises(ju.InputError, match="max_people must be 0 or a positive number of people"):
+        checked(open_scene, mission_of(*ends, home=ends[0]), time=OFF, max_people=-1)
+
+
 @pytest.mark.slow
 def test_the_report_has_each_finding_under_its_number(open_scene, tmp_path):
     ends = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]

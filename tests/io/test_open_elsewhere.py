@@ -1,8 +1,10 @@
 """What is written opens in others' hands: xarray, rioxarray, GDAL and QGIS, values equal to the maps'."""
 
+import os
 import re
 import resource
 import shutil
+import subprocess
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from rasterio.shutil import copy
 
 import jaxurban as ju
 from jaxurban.draw import metrics as figures
+from jaxurban.io.files import whole_file
 from jaxurban.io.geotiff import BLOCK, ramp_of, raster_profile, write_cog, write_geotiffs
 from jaxurban.io.store import write_zarr
 from jaxurban.maps.build import compute_maps
@@ -403,7 +406,27 @@ def test_a_disk_that_is_full_at_any_point_is_an_os_error(tmp_path):
     ]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, limits[1]))
         try:
-            with pytest.raises(OSError, match="GDAL could not write"):
+            with pytest.raises(OSError, match="File too large"):
                 write(tmp_path / "a.tif", values, True)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root mounts a disk of some kilobytes")
+@pytest.mark.parametrize("size", ["100k", "1500k"])  # too small for the map, and for its overviews
+def test_a_geotiff_says_that_the_disk_is_full_and_leaves_nothing(tmp_path, size):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", disk]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("nothing can be mounted here")
+    try:
+        values = np.random.default_rng(1).random((400, 500), np.float32)
+        with (
+            pytest.raises(ju.InputError, match="No space left on device; free space there"),
+            whole_file(disk / "a.tif") as scratch,
+        ):
+            write(scratch, values, True)
+        assert not [*disk.iterdir()]
+    finally:
+        subprocess.run(["umount", disk], check=True)
