@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from itertools import count, zip_longest
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -102,7 +103,9 @@ def _needs_writing(name: str, file: Path) -> bool:
 
 def _of_xml(file: Path) -> Iterator[dict[str, Any]]:
     """Yield the objects of XML as the Overpass API's JSON has them, all numbers as text; deleted ones are left out."""
-    for item in _elements(file):
+    pieces = pieces_of(file)
+    source: Any = SimpleNamespace(read=lambda _: next(pieces, b""))
+    for _, item in ElementTree.iterparse(source):
         if item.tag not in OBJECTS:
             continue
         if item.get("action") != "delete":
@@ -112,16 +115,6 @@ def _of_xml(file: Path) -> Iterator[dict[str, Any]]:
                 "members": list(map(_line_of, item.iterfind("member"))),
             }
         item.clear()
-
-
-def _elements(file: Path) -> Iterator[Any]:
-    """Yield each element of XML at its end."""
-    parser: Any = ElementTree.XMLPullParser(["end"])
-    for piece in pieces_of(file):
-        parser.feed(piece)
-        for _, item in parser.read_events():
-            yield item
-    parser.close()
 
 
 def _line_of(item: ElementTree.Element) -> dict[str, Any]:

@@ -10,11 +10,12 @@ from jaxurban.progress import LOG
 from jaxurban.terminal.common import (
     FLAG,
     FOLDER,
-    NUMBER,
     PATH,
     PRESET,
     RESOLUTION,
+    SHOWN,
     SOURCES,
+    finite_option,
 )
 from jaxurban.terminal.options import command
 
@@ -30,11 +31,12 @@ if TYPE_CHECKING:
 @click.option(
     "--export", type=PATH, metavar="PAGE.html", help="Write one page that shows the maps, and end."
 )
-@NUMBER(
+@SHOWN(
     "--size",
     "size_mib",
+    type=click.FloatRange(min=1),
+    callback=finite_option,
     default=25,
-    show_default=True,
     help="Largest size of --export, MiB.",
 )
 @click.option(

@@ -38,16 +38,6 @@ PARTS_FOLDER = "parts"
 INSTANCES_FILE = "instances.parquet"  # beside the rows of a Monte Carlo benchmark
 SAVE_EVERY_S = 5.0
 SAVING_SHARE = 0.05  # of the time, at most, goes into saving
-# How pandas reads the lines of a file as they stand.
-LINES: dict[str, Any] = {
-    "sep": "\x1f",
-    "names": ["line"],
-    "dtype": str,
-    "quoting": csv.QUOTE_NONE,
-    "na_filter": False,
-    "skip_blank_lines": False,
-    "encoding_errors": "replace",
-}
 SETTINGS = b"settings"  # in the metadata of a Parquet file
 Row = Mapping[str, Any]
 
@@ -91,13 +81,12 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
     """
     if not is_table(file):
         raise InputError(f"{str(file)!r} is no table: give CSV or Parquet")
-    kind = "parquet" if sniff(file) == ".parquet" else "csv"
     what = f"the {role} file {str(file)!r}"
     with (
-        readable(file, kind, "make it again, or name another", *UNPACKING, what=what),
+        readable(file, "a table", "make it again, or name another", *UNPACKING, what=what),
         unpacked(file) as plain,
     ):
-        if kind == "parquet":
+        if sniff(plain) == ".parquet":
             _check_width(len(pq.read_schema(plain).names), str(file))
             table = pd.read_parquet(plain)
         else:
@@ -119,9 +108,9 @@ def is_table(file: str | Path) -> bool:
 def check_rows(source: Path | io.BytesIO, name: str) -> int:
     """Return how many columns a CSV file has, each of whose rows fits its header.
 
-    Between its values is the mark of its first line, of several the comma. Blank lines do not matter, nor do blank
-    values beyond the header, which tools write that end each row with a comma, nor notes: rows of one value of several
-    words. Lines of more letters than a value may have are not looked at.
+    Blank lines do not matter, nor do blank values beyond the header, which tools write that end each row with a comma,
+    nor notes: rows of one value of several words. Not looked at are lines of more letters than a value may have, and
+    files with another mark between the values.
 
     Args:
       source: the file, which pandas unpacks by its name.
@@ -131,19 +120,24 @@ def check_rows(source: Path | io.BytesIO, name: str) -> int:
       InputError: a row has more or fewer values than the header, or there are too many columns.
       ValueError, csv.Error: no line, or a quote without its other one.
     """
-    whole = pd.read_csv(source, **LINES)["line"].tolist()
-    header = "".join(whole[:1])
-    marks = set(header).intersection(",;\t|")
-    mark = marks.pop() if len(marks) == 1 else ","
-    _check_width(header.count(mark) + 1, name)
-    lines = (line for line in whole if len(line) < csv.field_size_limit())
-    reader = csv.reader(lines, delimiter=mark, strict=True)
+    lines = pd.read_csv(
+        source,
+        sep="\x1f",
+        names=["line"],
+        dtype=str,
+        quoting=csv.QUOTE_NONE,
+        na_filter=False,
+        skip_blank_lines=False,
+        encoding_errors="replace",
+    )["line"].tolist()
+    _check_width("".join(lines[:1]).count(",") + 1, name)
+    reader = csv.reader((line for line in lines if len(line) < csv.field_size_limit()), strict=True)
     rows = filter(None, reader)
     num = len(next(rows, []))
     for row in rows:
         is_note = len(row) == 1 and " " in row[0]
         has_more = "".join(row[num:]).strip()
-        if has_more or (len(row) < num and not is_note):
+        if num > 1 and (has_more or (len(row) < num and not is_note)):
             raise InputError(
                 f"line {reader.line_num} of {name!r} and its header differ in their number of values, {len(row)} and "
                 f"{num}: mend that line, or remove it"

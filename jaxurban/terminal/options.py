@@ -1,7 +1,6 @@
 """How options are made: of what settings say of their own fields, as NAME=VALUE, and in groups of `--help`."""
 
 import inspect
-import math
 import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -12,9 +11,12 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import click
 
-from jaxurban.checks import one_of, unit_of_argument
+from jaxurban.checks import finite, one_of, unit_of_argument
 
 Decorator = Callable[[Callable], Callable]
+ONE = {float: click.FLOAT, int: click.INT, bool: click.BOOL, str: click.STRING}
+
+
 # Sections of the help for options that several commands have; the others stand before them.
 SECTIONS = {
     "Maps": ("resolution_m", "time", "times", "time_of_day", "sources", "changes"),
@@ -47,22 +49,6 @@ class Command(click.Command):
 command = partial(click.command, cls=Command)
 
 
-class Finite(click.types.FloatParamType):
-    """A number that is neither NaN nor infinite."""
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """Return the number in a text; BadParameter where it holds none."""
-        number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value!r} must be a finite number", param, ctx)
-        return number
-
-
-ONE = {float: Finite(), int: click.INT, bool: click.BOOL, str: click.STRING}
-
-
 class Numbers(click.ParamType):
     """Numbers with commas between them.
 
@@ -85,7 +71,7 @@ class Numbers(click.ParamType):
           param, ctx: of the option, for the error.
 
         Raises:
-          BadParameter: something that is no finite number, or another count of numbers.
+          BadParameter: something that is no number, or another count of numbers.
         """
         if isinstance(value, tuple):
             return value
@@ -93,8 +79,7 @@ class Numbers(click.ParamType):
             numbers = tuple(float(part) for part in str(value).split(","))
         except ValueError:
             numbers = ()
-        is_finite = all(map(math.isfinite, numbers))
-        if not numbers or not is_finite or len(numbers) != (self.count or len(numbers)):
+        if not numbers or len(numbers) != (self.count or len(numbers)):
             self.fail(f"{value!r} must be {self.example}", param, ctx)
         return numbers
 
@@ -161,7 +146,7 @@ class Values(click.ParamType):
 
         Raises:
           BadParameter: a name twice, or a value of another kind.
-          InputError: a name that is no field.
+          InputError: a name that is no field, or a number that is not finite.
         """
         said = f"a name in {param.opts[0]}" if param else "a name"
         values: dict[str, Any] = {}
@@ -171,6 +156,8 @@ class Values(click.ParamType):
             if name in values:
                 self.fail(f"{name} stands twice: give it one value", param, ctx)
             values[name] = type_of(self.hints[name]).convert(text.strip(), param, ctx)
+            if isinstance(values[name], float):
+                finite(name, values[name])
         return values
 
 
