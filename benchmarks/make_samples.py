@@ -121,7 +121,7 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
 
     # What else stands, with all tags that say so, and the water that bridges cross.
     rest = outlines.take(~is_kept)
-    others = joined_outlines(osm, [what_stands(rest, False, {}), _crossed(rest)])
+    others = joined_outlines(osm, [what_stands(rest, False)[0], _crossed(rest)])
     facts = {"credit": OSM_CREDIT, "licence": ODBL}
     write_geoparquet(home / STRUCTURES_FILE, _frame(others, outlines.tags), facts)
 

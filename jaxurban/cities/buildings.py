@@ -62,6 +62,7 @@ SAME_HEIGHT_M = 0.5  # an outline and its highest part
 MOST_RADIUS_M = 100.0  # of what is a point: more is a slip of the unit
 OCTAGON = 1 / math.cos(math.pi / 8)  # its circle outside to that inside: crowns are octagons
 RESHAPED = ("polygons", "height_m", "origin", "limit_m")
+GUYS = "guys of a mast"  # the rule of what is around it
 # Kinds whose names say how high they are; others are learned of no heights.
 LEARNED_KINDS = ("chimney", "tank", "tower", "mast", "pole", "pylon", "crane", "turbine", *PLANTS)
 
@@ -144,7 +145,8 @@ def _in_city(
       has_slabs: whether areas of bridges are decks.
       issues: gets what is left out, repaired or a solid.
     """
-    features = what_stands(outlines, has_slabs, issues)
+    features, left_out = what_stands(outlines, has_slabs)
+    issues |= left_out
     prisms = prisms_of_solids(features)
     shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
     prisms = prisms[is_sound]
@@ -182,7 +184,7 @@ def _buildings(
     learned, highest_m = _learned(buildings, found, outline, part, classes, learns)
     if file.default_height_m is None:
         guess_m = of_classes(learned, classes, "guess_m")
-        is_low = found.says("building", LOW_BUILDINGS) & (guess_m > LOW_LIMIT_M)
+        is_low = found.says("building", LOW_BUILDINGS.split()) & (guess_m > LOW_LIMIT_M)
         guess_m[is_low] = LOW_LIMIT_M
         height_m = np.where(buildings.height_m == 0, guess_m, buildings.height_m)
         buildings = replace(buildings, height_m=height_m)
@@ -200,7 +202,7 @@ def _buildings(
     likely_m = above_m + buildings.min_height_m
     is_of_class = np.isin(buildings.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE))
     likely_m = np.where(is_of_class, likely_m + found.tags["rise_m"], np.inf)
-    buildings = replace(buildings, limit_m=limit_m, likely_m=likely_m)
+    buildings = replace(buildings, limit_m=limit_m, likely_m=likely_m, rule=found.tags["rule"])
     is_bare = is_replaced & ((1 - share) * shapely.area(polygons) > STRIP_M)
     buildings, is_replaced = _beside_parts(buildings, outline, part, is_replaced, is_bare)
     buildings = _within(buildings.take(~is_replaced), file)
@@ -313,6 +315,7 @@ def _structures(
         limit_m=limit_m,
         label=outlines.tags["label"],
         likely_m=np.nan_to_num(likely_m, nan=np.inf),
+        rule=outlines.tags["rule"],
     )
     return structures, learned
 
@@ -334,6 +337,7 @@ def _guys(structures: Footprints, outlines: Outlines) -> Footprints:
         kind=np.full(len(masts), UNKNOWN, object),
         limit_m=masts.upper_m,
         label=np.full(len(masts), "guys", object),
+        rule=np.full(len(masts), GUYS, object),
         likely_m=masts.likely_upper_m,
     )
 
@@ -369,7 +373,7 @@ def _on_roofs(
 
 def _limits_by_name_m(outlines: Outlines, others_m: float | np.ndarray) -> np.ndarray:
     """Return ``[N]`` the bound of buildings of unknown height by what their tag calls them, and of others."""
-    return np.where(outlines.says("building", LOW_BUILDINGS), LOW_LIMIT_M, others_m)
+    return np.where(outlines.says("building", LOW_BUILDINGS.split()), LOW_LIMIT_M, others_m)
 
 
 def _classes(polygons: np.ndarray, is_part: np.ndarray, is_deck: np.ndarray) -> np.ndarray:
@@ -420,7 +424,7 @@ def _learned(
         np.maximum.at(height_m, outline, height_m[part])
         known_m.append(height_m)
     groups = pd.Series(classes).str.removeprefix(PARTS)
-    groups[found.says("building", LOW_BUILDINGS)] = "low"
+    groups[found.says("building", LOW_BUILDINGS.split())] = "low"
     highest_m = pd.Series(height_m).groupby(groups).transform("max").to_numpy()
     highest_m = np.where(groups == IN_NONE, np.inf, highest_m)
     return learned_from(classes, *(each * learns for each in known_m)), highest_m

@@ -11,7 +11,8 @@ import pyproj
 
 from jaxurban import settings
 from jaxurban.cities.heights import FOOT_M, is_given, parse_length_m, read_column
-from jaxurban.cities.kinds import IN_WORDS, KINDS, NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING
+from jaxurban.cities.kinds import NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING
+from jaxurban.cities.rules import IN_WORDS, KINDS
 from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue
 from jaxurban.settings import MAX_HEIGHT_M, Unit

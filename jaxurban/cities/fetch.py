@@ -17,8 +17,9 @@ import tomli_w
 from jaxurban.checks import one_of
 from jaxurban.cities.census import read_blocks, read_districts
 from jaxurban.cities.download import Source, cache_folder, download
-from jaxurban.cities.kinds import BY_VALUE, WATERS, Kind
+from jaxurban.cities.kinds import WATERS, Kind
 from jaxurban.cities.osm import MAYBE, read_osm
+from jaxurban.cities.rules import BY_VALUE, THINGS
 from jaxurban.errors import InputError, readable
 from jaxurban.io.broken import BROKEN
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
@@ -98,7 +99,8 @@ NONE_HERE = {  # reported where a file holds nothing for the region or the day
 ASKED = [f'"{key}"' for key in MAYBE if key != "barrier"]
 ASKED += ['"barrier"]["barrier"!~"^(fence|hedge|kerb|bollard|gate)$"']
 for key, by_value in BY_VALUE.items():
-    ASKED += [f'"{key}"="{value}"' for value, kind in by_value.items() if isinstance(kind, Kind)]
+    kinds = [value for value, name in by_value.items() if isinstance(THINGS[name], Kind)]
+    ASKED += [f'"{key}"="{value}"' for value in kinds]
 WAYS = [f'"{key}"~"^({"|".join(values)})$"' for key, values in WATERS.items()]
 WAYS += ['"highway"]["layer"~"^[1-9]"', '"railway"]["layer"~"^[1-9]"']
 OVERPASS = (

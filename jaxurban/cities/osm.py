@@ -15,18 +15,10 @@ from osmium.filter import EntityFilter, KeyFilter
 from osmium.geom import use_nodes
 
 from jaxurban.cities.columns import tags_of
-from jaxurban.cities.kinds import (
-    BY_VALUE,
-    KINDS,
-    NOT_BUILT,
-    NOT_IN_USE,
-    OF_LIFE,
-    STANDING,
-    WATERS,
-    Nothing,
-)
+from jaxurban.cities.kinds import NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING, WATERS, Nothing
 from jaxurban.cities.osm_plain import plain_osm
 from jaxurban.cities.outlines import Outlines
+from jaxurban.cities.rules import BY_VALUE, KINDS, THINGS
 from jaxurban.errors import readable
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.sniff import in_own_words, sniff, unpacked
@@ -41,7 +33,9 @@ MAYBE = (  # keys of what may stand
     *(f"{life}:building" for life in NOT_BUILT),
 )
 SURE = {*MAYBE} - {"barrier"}  # whatever their value is
-LOW_BARRIERS = {value for value, kind in KINDS["barrier"].items() if isinstance(kind, Nothing)}
+LOW_BARRIERS = {
+    value for value, name in KINDS["barrier"].items() if isinstance(THINGS[name], Nothing)
+}
 SOME = {  # values of keys of which others do not stand; what is water says which bridges cross it
     key: {*BY_VALUE.get(key, ()), *WATERS.get(key, ())} for key in (*BY_VALUE, *WATERS)
 }

@@ -21,8 +21,9 @@ from jaxurban.cities.bridges import is_raised
 from jaxurban.cities.columns import is_of_buildings, named_columns, tags_of, tags_of_table
 from jaxurban.cities.companions import REFERS, check_companions
 from jaxurban.cities.heights import is_given
-from jaxurban.cities.kinds import BY_VALUE, IN_WORDS, KINDS, WATERS
+from jaxurban.cities.kinds import WATERS
 from jaxurban.cities.outlines import Near, Outlines
+from jaxurban.cities.rules import BY_VALUE, IN_WORDS, KINDS
 from jaxurban.cities.solids import openable, streamed
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.geoparquet import read_geoparquet

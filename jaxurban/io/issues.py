@@ -19,7 +19,7 @@ class ReadIssue(StrEnum):
       NOT_BUILDINGS: building=no without building:part, left out.
       UNDERGROUND: location=underground, level below 0, no level above the ground, or parking below it, left out.
       RAZED, PLANNED: buildings that do not stand any more, or not yet, left out.
-      NOT_STANDING: left out for the reasons of `jaxurban.cities.kinds`: piers, cameras, sites of plants, low things.
+      NOT_STANDING: left out for the reasons of `jaxurban.cities.rules`: piers, cameras, sites of plants, low things.
       UNKNOWN_EXTENT: something stands or may stand there, but its extent or kind is not known.
       UNKNOWN_HEIGHT: structures without a height.
       OUTLINES_REPLACED_BY_PARTS: covered by their own parts to 90 % or more.

@@ -58,6 +58,7 @@ class Footprints(Rows):
         ``""`` where it says nothing or the kind is known. None: ``""`` for all.
       likely_m: ``[B]`` float64 height that 99 % of what is as large or of its kind keep below, inf where nothing says
         more than ``limit_m``; of no meaning where the height is known. None: inf for all.
+      rule: ``[B]`` objects: the name of the rule by which it stands, of the table of its source. None: ``""`` for all.
     """
 
     polygons: np.ndarray
@@ -69,6 +70,7 @@ class Footprints(Rows):
     limit_m: np.ndarray | None = None
     label: np.ndarray | None = None
     likely_m: np.ndarray | None = None
+    rule: np.ndarray | None = None
 
     @property
     def named(self) -> np.ndarray:
@@ -79,6 +81,11 @@ class Footprints(Rows):
     def labels(self) -> np.ndarray:
         """``[B]`` objects: ``label``."""
         return np.full(len(self), "", object) if self.label is None else self.label
+
+    @property
+    def rules(self) -> np.ndarray:
+        """``[B]`` objects: ``rule``."""
+        return np.full(len(self), "", object) if self.rule is None else self.rule
 
     @property
     def kinds(self) -> np.ndarray:
@@ -116,7 +123,7 @@ class Footprints(Rows):
         if other is None or not len(other):
             return self
         names = ["polygons", "height_m", "min_height_m", "origin", "is_part"]
-        names += ["kinds", "upper_m", "labels", "likely_upper_m"]
+        names += ["kinds", "upper_m", "labels", "likely_upper_m", "rules"]
         columns = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in names)
         return Footprints(*columns)
 

@@ -17,7 +17,8 @@ from sgp4.exporter import export_tle
 import jaxurban as ju
 from figures.paper.common import population_totals
 from jaxurban.cities.fetch import SOURCES, FetchJob
-from jaxurban.cities.kinds import BY_VALUE, KINDS, WATERS, Kind
+from jaxurban.cities.kinds import WATERS, Kind
+from jaxurban.cities.rules import BY_VALUE, KINDS, THINGS
 from jaxurban.io.ephemerides import timescale
 from jaxurban.io.files import only_writer
 from jaxurban.io.nominal import nominal_satellites
@@ -270,9 +271,9 @@ def test_trees_wires_and_all_that_the_reader_knows_are_asked_for_and_stand(
     url = FetchJob(BOUNDS).requests()[0].url
     keys, pairs = asked_of(url)
     assert keys >= KINDS.keys() - {"barrier"}
-    for key, by_value in BY_VALUE.items():
-        for value, kind in by_value.items():
-            assert ((key, value) in pairs) == isinstance(kind, Kind), (key, value)
+    for key, rules in BY_VALUE.items():
+        for value, name in rules.items():
+            assert ((key, value) in pairs) == isinstance(THINGS[name], Kind), (key, value)
     asked = unquote(url)
     assert 'nwr["barrier"]["barrier"!~"^(fence|hedge|kerb|bollard|gate)$"];' in asked
     for key, values in WATERS.items():

@@ -7,11 +7,15 @@ import pandas as pd
 import pytest
 
 from benchmarks.common import ROOT
-from jaxurban.cities.kinds import BY_VALUE, KINDS, LAMP, Kind, Reason
+from jaxurban.cities.kinds import Kind, Nothing
+from jaxurban.cities.rules import BY_VALUE, KINDS, LAMP, THINGS
 from tests.cities.generator.extracts import COUNTS
 
 PAGE = ROOT / "docs/model/kinds.md"
-TABLE = KINDS | BY_VALUE
+TABLE = {
+    key: {value: THINGS[name] for value, name in rules.items()}
+    for key, rules in (KINDS | BY_VALUE).items()
+}
 # `power`, `man_made`: pole, portal; points have other rows.
 OF_KEYS = re.compile(r"(?<!a point with )((?:`[\w:]+`(?:, )?)+): ([^`;]+)")
 OTHERS = re.compile(r"any other ((?:`[\w:]+`(?:, )?)+)")
@@ -35,7 +39,7 @@ def rows_of_page() -> list[tuple[str, str, str, str, str]]:
     return [row for row in rows if row[0] in TABLE and row[1] in TABLE[row[0]]]
 
 
-def said(kind: Kind | Reason) -> tuple[str, float, float]:
+def said(kind: Kind | Nothing) -> tuple[str, float, float]:
     """Return what the page says of a kind: its name, guess and bound, NaN of nothing."""
     if isinstance(kind, Kind):
         return kind.name, kind.height_m, kind.limit_m

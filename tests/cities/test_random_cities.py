@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from jaxurban.cities.kinds import KINDS
+from jaxurban.cities.rules import KINDS
 from tests.cities.generator.extracts import IN_NO_ROW
 from tests.cities.generator.judge import invented, truth_of
 from tests.cities.generator.plant import EDITS, Prism, Thing

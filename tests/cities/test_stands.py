@@ -8,8 +8,8 @@ from shapely.geometry import LineString, Point, box
 import jaxurban as ju
 from jaxurban.cities.buildings import to_buildings
 from jaxurban.cities.columns import tags_of
-from jaxurban.cities.kinds import KINDS
 from jaxurban.cities.outlines import Outlines
+from jaxurban.cities.rules import KINDS
 from jaxurban.world.footprints import HeightOrigin
 
 UTM = "EPSG:32618"

@@ -1,0 +1,124 @@
+"""Signs: what several tags of a feature say together, or with its shape or its height, and no value says alone.
+
+The table of `rules.py` names each by the same words. A height is that of what stands, but for four: those of forms of
+the land, of what does not stand any more or not yet, and of what carries traffic are heights of something else.
+"""
+
+from typing import Any
+
+import numpy as np
+import shapely
+
+from jaxurban.cities.bridges import DECK, is_raised
+from jaxurban.cities.heights import is_given, parse_height_m
+from jaxurban.cities.kinds import FALLS, LANDFORMS, LOW_M, NOT_BUILT, WIND
+from jaxurban.cities.outlines import Outlines
+from jaxurban.io.issues import ReadIssue
+from jaxurban.settings import MAX_HEIGHT_M
+
+NO = ("", "no", "false", "none", "null", "nan")
+ZERO = ("0", "0.0")
+FLAGS = {*ZERO, "1", "1.0"}  # of a column of yes and no; other numbers are names
+Signs = dict[str, Any]
+
+
+def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
+    """Return which of ``N`` features have a sign, ``[N]`` bool by its name.
+
+    Among them are shapes, ``"points"``, and what rules ask beside: ``"part"`` of a building, ``"low"`` or indoors, and
+    ``"pond"``.
+
+    Args:
+      outlines: the features.
+      has_decks: whether areas of bridges that are no buildings are decks.
+    """
+    dimension = shapely.get_dimensions(outlines.polygons)
+    is_way = dimension > 0
+    is_area = ~np.isin(dimension, (0, 1))  # what has no shape may have been one
+    is_named = is_area  # as a building or as none; in a file that never says it every area is one
+    if "building" in outlines.tags:
+        is_named = outlines.texts("building") != ""
+    height_m, is_worded = _heights(outlines, ~is_named)
+    is_low = (height_m < LOW_M) | _has(outlines, "indoor")
+    is_traffic = is_raised(outlines)
+    signs = {
+        "points": ~is_way,
+        "low": is_low,
+        "pond": is_area & outlines.says("natural", ["water"]),
+        "form of the land, or a waterfall": (
+            outlines.says("natural", LANDFORMS.split()) & ~is_named
+            | outlines.says("waterway", FALLS)
+        ),
+        "razed": _is_gone(outlines, ReadIssue.RAZED),
+        "planned": _is_gone(outlines, ReadIssue.PLANNED),
+        "traffic above the ground": is_traffic,
+        "way of traffic above the ground": is_traffic & is_way & ~is_low,
+        "wind turbine": (
+            outlines.says("wind", WIND) | _has(outlines, "rotor") | _has(outlines, "hub")
+        ),
+        "generator of unknown source and height": (
+            outlines.says("power", ["generator"])
+            & (outlines.texts("wind") == "")
+            & ~(is_worded | is_named)
+            & np.isnan(height_m)
+        ),
+    }
+    of_other = ("form of the land, or a waterfall", "razed", "planned", "traffic above the ground")
+    is_own = ~np.logical_or.reduce([signs[name] for name in of_other])
+    is_high = is_own & (height_m >= LOW_M)
+    is_beyond = is_own & (height_m > MAX_HEIGHT_M)
+    return {
+        **signs,
+        **_building_signs(outlines, is_area, has_decks),
+        "height in words": is_worded,
+        "height below 6 m": height_m < LOW_M,
+        "height of 6 m or more": is_high,
+        "height beyond 1,000 m, or that cannot be read": is_beyond,
+        "barrier of 6 m or more": is_high & ~is_beyond & (outlines.texts("barrier") != ""),
+    }
+
+
+def _building_signs(outlines: Outlines, is_area: np.ndarray, has_decks: bool) -> Signs:
+    """Return which features are buildings by their tags, as of `signs_of`."""
+    is_part = _has(outlines, "part")
+    has_names = "building" in outlines.tags
+    is_building = _has(outlines, "building") | (is_part & has_names)
+    is_building &= ~outlines.says("building", NOT_BUILT)
+    is_bridge = outlines.says("man_made", [DECK])
+    return {
+        "part": is_part,
+        "area in a file that names no buildings": is_area & (not has_names),
+        "deck of a bridge": is_bridge & has_decks & is_area & ~is_part,
+        "building": is_building & is_area,
+        "building without an area": is_building & ~is_area,
+    }
+
+
+def _has(outlines: Outlines, name: str) -> np.ndarray:
+    """Return ``[N]`` whether a tag has a value that does not mean no."""
+    texts = {*outlines.texts(name)}
+    is_number = {value for value in texts if value[:1].isdigit()}
+    no = NO if is_number - FLAGS else (*NO, *ZERO)
+    return outlines.says(name, texts.difference(no))
+
+
+def _is_gone(outlines: Outlines, reason: ReadIssue) -> np.ndarray:
+    """Return ``[N]`` what does not stand for a reason of `NOT_BUILT`."""
+    values = [value for value, why in NOT_BUILT.items() if why is reason]
+    return _has(outlines, reason) | outlines.says("building", values)
+
+
+def _heights(outlines: Outlines, is_asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the heights of features in metres, and whether they are words, ``[N]`` each.
+
+    NaN without one and of words, 0 of what is not above the ground, inf of what seems to be and cannot be read.
+    """
+    column = outlines.column("height")
+    height_m = np.full(len(column), np.nan)
+    is_worded = np.zeros(len(column), bool)
+    for index in np.flatnonzero(is_given(column) & is_asked):
+        text = str(column[index]).strip().lower()
+        is_worded[index] = text.isalpha() and text not in NO
+        if not is_worded[index]:
+            height_m[index] = max(0.0, parse_height_m(text))
+    return height_m, is_worded
