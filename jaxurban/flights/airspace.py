@@ -17,11 +17,13 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyogrio
 import shapely
 
 from jaxurban import wings
@@ -99,9 +101,10 @@ REMARKS = {
 }
 # One for each feature of GeoJSON or KML; GDAL passes over one that is not where it belongs, or in another file.
 FEATURE = re.compile(
-    rb'"type"\s*:\s*"Feature"|<(?:[\w.-]+:)?(?:Placemark|GroundOverlay|NetworkLink)\b'
+    rb'"type"\s*:\s*"Feature"|<(?:[\w.-]+:)?(?:Placemark|GroundOverlay|PhotoOverlay|NetworkLink)\b'
 )
-MODEL, PLACEMARK = b"<Model", b"Placemark"
+MODEL, PLACEMARK, SQLITE = b"<Model", b"Placemark", b"SQLite format 3"
+SHAPE_NAMES = ("geometry", "geometries", "geom", "wkt", "wkb", "shape")
 KML_SHAPES = [
     "Point",
     "LineString",
@@ -185,10 +188,12 @@ def _of_vector_file(path: Path) -> list[Zone]:
         )
     zones: list[Zone] = []
     num_read = 0
+    num_lost = _num_without_shape(content, path)
     for frame in wings.open_layers(path, ROLE):
         crs = frame.crs.to_wkt()
         properties = frame.drop(columns=frame.geometry.name)
         _warn_of_ignored(properties, file)
+        num_lost += sum(map(_num_shapes, properties.columns, map(properties.get, properties)))
 
         # Of each row: its filled properties by plain name, its own name, its shape and its heights.
         for row, shape in zip(
@@ -213,7 +218,7 @@ def _of_vector_file(path: Path) -> list[Zone]:
                     Zone(name, shape, crs, *limits_m, file, state="unknown", remarks=("no_area",))
                 )
 
-    num_lost = _num_features(content) - num_read
+    num_lost += max(_num_features(content) - num_read, 0)
     if num_lost > 0:
         name = f"{num_lost} more"
         zones.append(Zone(name, NOWHERE, source=file, state="unknown", remarks=("not_read",)))
@@ -228,10 +233,29 @@ def _num_features(content: bytes) -> int:
     if PLACEMARK not in content:
         return num
     with suppress(*BROKEN):
-        for mark in xml_root(content).iterfind(".//{*}Placemark"):  # GDAL reads one shape of each
+        root = xml_root(content)
+        for mark in root.iterfind(".//{*}Placemark"):  # GDAL reads one shape of each
             num_shapes = sum(tag_of(each) in KML_SHAPES for each in mark)
             num += max(num_shapes - 1, 0)
+        for area in root.iterfind(".//{*}Polygon"):  # and one outer ring
+            num += max(len(area.findall("{*}outerBoundaryIs/{*}LinearRing")) - 1, 0)
     return num
+
+
+def _num_shapes(name: object, values: pd.Series) -> int:
+    """Return how many shapes a column beside the geometry holds."""
+    is_named = _plain(name) in SHAPE_NAMES
+    holds_them = values.dtype == "geometry" or values.map(type).isin([bytes]).any()
+    return int(values.notna().sum()) if is_named or holds_them else 0
+
+
+def _num_without_shape(content: bytes, path: Path) -> int:
+    """Return how many rows a GeoPackage holds in tables without shapes, but for the styles of QGIS."""
+    if not content.startswith(SQLITE):
+        return 0
+    names = [name for name, shapes in pyogrio.list_layers(path) if shapes is None]
+    tables = [name for name in names if name != "layer_styles"]
+    return sum(pyogrio.read_info(path, layer=name)["features"] for name in tables)
 
 
 def _plain(name: object) -> str:
@@ -324,6 +348,8 @@ def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:
                 shapes = [{"layer": None, **part} for part in parts]
             if not shapes:
                 raise ValueError("it has no volume")
+            if not all(isinstance(shape["layer"], dict | None) for shape in shapes):
+                raise ValueError("its layer is no object")
             volumes = [(shape["layer"] or {}, _outline(shape)) for shape in shapes]
         except BROKEN as error:
             is_said = isinstance(error, ValueError)
@@ -353,7 +379,8 @@ def _geozones(path: Path) -> list[Json] | None:
         check_file(path)
         text = path.read_text(encoding="utf-8-sig")
         whole = json.loads(text) if GEOZONE.search(text) else {}
-        listed = whole.get("features", whole.get("UASZoneList"))
+        lists = [whole[key] for key in ("features", "UASZoneList") if key in whole]
+        listed = list(chain(*lists)) if lists else None
     except (OSError, ValueError, RecursionError, AttributeError):
         return None  # the reader of vector files says what is wrong with it
     is_listed = isinstance(listed, list) and all(isinstance(each, dict) for each in listed)

@@ -285,6 +285,18 @@ def test_litchi_heights_have_their_units_and_modes_by_row(read):
     assert "no home" in read(LITCHI, "m.csv").not_judged[0]
 
 
+@pytest.mark.parametrize("shift", [1, -1])
+def test_a_row_of_litchi_that_blanks_make_fit_is_refused(read, shift):
+    """Case: two values fewer and two commas at the end, or one more before the mode and a blank at the end."""
+    header, first, *others = LITCHI.splitlines()
+    values = first.split(",")
+    shifted = (
+        [*values[:4], " 0", *values[4:-1], ""] if shift > 0 else [*values[:4], *values[5:], ""]
+    )
+    with pytest.raises(ju.InputError, match="row 1 of .* may be shifted"):
+        read("\n".join([header, ",".join(shifted), *others]))
+
+
 def test_litchi_without_modes_is_asked_for_and_a_strange_one_refused(read):
     without = "\n".join(",".join(row.split(", ")[:6]) for row in LITCHI.splitlines())
     with pytest.raises(ju.InputError, match="does not say what its heights are above"):

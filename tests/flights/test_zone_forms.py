@@ -6,7 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import geopandas as gpd
 import numpy as np
+import pandas as pd
+import pyogrio
 import pytest
 import shapely
 from matplotlib.collections import LineCollection, PathCollection
@@ -77,12 +80,14 @@ def volume(uom="M", zero="AGL", **shape) -> dict:
     return limits | {"horizontalProjection": POLYGON | shape}
 
 
+def ed269_zone(name: str, restriction: str, volumes) -> dict:
+    about = {"name": name, "identifier": name, "applicability": ALWAYS, "restriction": restriction}
+    return about | {"geometry": volumes}
+
+
 def ed269(geometry, states, restriction="PROHIBITED") -> Form:
-    first, second = (
-        {"name": name, "identifier": name, "applicability": ALWAYS, "restriction": kind}
-        | {"geometry": volumes}
-        for name, kind, volumes in (("A", "PROHIBITED", [volume()]), ("B", restriction, geometry))
-    )
+    first = ed269_zone("A", "PROHIBITED", [volume()])
+    second = ed269_zone("B", restriction, geometry)
     states = {"A": "closed"} | states if isinstance(states, dict) else states
     return Form(".json", json.dumps({"features": [first, second]}), states)
 
@@ -136,6 +141,23 @@ FORMS = {
     "empty polygon": of({"type": "Polygon", "coordinates": []}),
     "empty ring": of({"type": "Polygon", "coordinates": [[]]}),
     "empty polygons": of({"type": "MultiPolygon", "coordinates": []}),
+    "two outer rings": kml(
+        f"<Placemark><name>B</name><Polygon><outerBoundaryIs>{RING}</outerBoundaryIs><outerBoundaryIs>{RING}"
+        "</outerBoundaryIs></Polygon></Placemark>",
+        {"B": "closed", "1 more": "unknown"},
+    ),
+    "photo with a point": kml(f"<PhotoOverlay>{SPOT}</PhotoOverlay>", {"1 more": "unknown"}),
+    "two lists of ED-269": Form(
+        ".json",
+        json.dumps(
+            {
+                "features": [ed269_zone("A", "PROHIBITED", [volume()])],
+                "UASZoneList": [ed269_zone("B", "PROHIBITED", [volume()])],
+            }
+        ),
+        {"A": "closed", "B": "closed"},
+    ),
+    "layers in a list": ed318({**POLYGON, "layer": [{}]}, "its layer is no object"),
     "bare geometry among features": geojson(POLYGON, states={"1 more": "unknown"}),
     "two shapes in a placemark": kml(
         f"<Placemark><name>B</name>{AREA}{SPOT}</Placemark>", {"B": "unknown", "1 more": "unknown"}
@@ -371,3 +393,22 @@ def test_a_model_of_kml_is_refused_before_gdal_reads_it(tmp_path):
     file.write_text(kml(inside, {}).content)
     with pytest.raises(ju.InputError, match="holds a model in three dimensions"):
         read_zones(file)
+
+
+def test_a_second_column_of_shapes_is_an_unknown_zone(tmp_path):
+    near, far = shapely.Polygon(SQUARE[0]), shapely.Polygon(JUMP).centroid.buffer(0.001)
+    frame = gpd.GeoDataFrame({"name": ["A"]}, geometry=[near], crs=WGS84)
+    frame["other"] = gpd.GeoSeries([far], crs=WGS84)
+    frame.to_parquet(tmp_path / "two.parquet")
+    states = [zone.state for zone in read_zones(tmp_path / "two.parquet")]
+    assert states == ["closed", "unknown"]
+
+
+def test_a_table_without_shapes_in_a_geopackage_is_an_unknown_zone(tmp_path):
+    file = tmp_path / "zones.gpkg"
+    shapes = gpd.GeoDataFrame({"name": ["A"]}, geometry=[shapely.Polygon(SQUARE[0])], crs=WGS84)
+    shapes.to_file(file, layer="zones")
+    circles = pd.DataFrame({"lon": [LON, LON], "lat": [LAT, LAT], "radius_m": [100.0, 50.0]})
+    pyogrio.write_dataframe(circles, file, layer="circles", append=True)
+    zones = read_zones(file)
+    assert [(zone.name, zone.state) for zone in zones] == [("A", "closed"), ("2 more", "unknown")]

@@ -574,7 +574,23 @@ def _table_of(name: str, data: bytes) -> Table:
         raise DamagedError("commas must be between its values, and points in its numbers")
     check_rows(io.BytesIO(data), name)
     names = [re.sub(r"\.\d+$", "", UNIT.sub("", title.strip().lower())) for title in header]
+    if CURVE in names:
+        _check_filled(name, header, rows)
     return [*zip(names, zip_longest(header, *rows, fillvalue=""), strict=False)]
+
+
+def _check_filled(name: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Raise InputError where a row of a mission of Litchi, a file of a name, lacks a value or has one more.
+
+    Litchi writes every value, so that those beside such a place may belong to another column.
+    """
+    for number, row in enumerate(rows, start=1):
+        cells = [cell for title, cell in zip(header, row, strict=False) if title.strip()]
+        if len(row) != len(header) or not all(map(str.strip, cells)):
+            raise InputError(
+                f"row {number} of {name!r} has {len(row)} values, blank ones among them, for {len(header)} columns: "
+                "others may be shifted, so mend that row, or remove it"
+            )
 
 
 def _named(table: Table, known: Collection[str]) -> list[Sequence[str]]:
