@@ -14,10 +14,10 @@ from jaxurban.checks import nearest_name
 from jaxurban.cities.plausible import check_people
 from jaxurban.cities.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.cities.vector import POLYGONS, open_frame, without_collections
-from jaxurban.errors import InputError, readable
+from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.sampling import pixel_xy
-from jaxurban.io.tables import check_rows
+from jaxurban.io.tables import read_table
 from jaxurban.metrics.population import Population
 from jaxurban.world.blocks import OTHER_DISTRICT, Blocks, Zoning
 from jaxurban.world.grid import Bounds, projected_crs, transformer
@@ -344,16 +344,9 @@ def _counts_in_table(files: Population, block_keys: pd.Series, wanted: str) -> p
     """
     path = str(files.table)
     name = f"[population] table {path!r}"
-    # Pandas' parser errors are ValueErrors.
-    with readable(path, "CSV", "check the path and the file", what=name):
-        table = pd.read_csv(
-            path,
-            usecols=range(check_rows(Path(path), path)),
-            dtype=str,
-            encoding="utf-8-sig",
-            encoding_errors="replace",
-            keep_default_na=False,
-        )
+    table = read_table(
+        path, "population", dtype=str, encoding_errors="replace", keep_default_na=False
+    )
 
     # Which column holds the ids, and which the counts.
     num_joined = {str(column): int(_keys(table[column]).isin(block_keys).sum()) for column in table}

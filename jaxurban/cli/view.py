@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from jaxurban.checks import finite
 from jaxurban.progress import LOG
 from jaxurban.terminal.common import (
     FLAG,
@@ -15,7 +16,6 @@ from jaxurban.terminal.common import (
     RESOLUTION,
     SHOWN,
     SOURCES,
-    finite_option,
 )
 from jaxurban.terminal.options import command
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     "--size",
     "size_mib",
     type=click.FloatRange(min=1),
-    callback=finite_option,
+    callback=lambda ctx, param, mib: finite("size_mib", mib),
     default=25,
     help="Largest size of --export, MiB.",
 )

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.checks import typed, values_given
+from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.flights.by_autopilot import worse_of
 from jaxurban.flights.check_result import MissionCheck
@@ -124,6 +124,8 @@ def check(
         not_negative(name, value)
     if max_people is not None:
         not_negative("max_people", max_people, "people")
+    if geoid_m is not None:
+        finite("geoid_m", geoid_m)
     if isinstance(mission, PlannedPath):
         constraints = constraints or constraints_of(mission)
     of_file: dict[str, Any] = {"heights": heights, "home": home, "autopilot": autopilot}

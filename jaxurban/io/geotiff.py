@@ -232,18 +232,17 @@ def _parts(ds: xr.Dataset, layer: _Layer) -> Iterator[np.ndarray]:
 
 
 @contextmanager
-def _writing(folder: str, grid: Grid, dtype: np.dtype) -> Iterator[None]:
+def _writing(folder: str, num_bytes: int) -> Iterator[None]:
     """Raise OSError where GDAL fails; rasterio has no public class for all that it raises then.
 
-    GDAL does not say that the disk is full, so that the system is asked: twice the map is written into the folder.
+    GDAL does not say that the disk is full, so that the system is asked, by as many bytes in the folder as it may need.
     """
     try:
         yield
     except Exception as error:
         if isinstance(error, SystemError) or type(error).__module__.partition(".")[0] == "rasterio":
             with TemporaryFile(dir=folder) as file:
-                for _ in range(2 * grid.num_rows):
-                    file.write(bytes(grid.num_cols * dtype.itemsize))
+                file.write(bytes(num_bytes))  # of zeros, which take no memory
             raise OSError(f"GDAL could not write it ({error})") from error
         raise
 
@@ -311,7 +310,7 @@ def write_cog(
     with (
         quick,
         TemporaryDirectory(SCRATCH_SUFFIX, ".plain.", path.parent) as folder,
-        _writing(folder, grid, dtype),
+        _writing(folder, 2 * grid.num_rows * grid.num_cols * dtype.itemsize),
     ):
         plain = Path(folder) / "plain.tif"
         row = 0

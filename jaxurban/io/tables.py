@@ -68,13 +68,13 @@ def write_table(
     return file
 
 
-def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> pd.DataFrame:
+def read_table(file: str | Path, role: str, **options: Any) -> pd.DataFrame:
     """Return the table in a file.
 
     Args:
       file: Parquet or CSV, as its content says; CSV also packed, as .csv.gz.
       role: what it holds, for messages.
-      categories: columns of a CSV file that repeat texts in many rows: they come as categories, which take less room.
+      options: of pandas, for CSV.
 
     Raises:
       InputError: no such file, another format, a file that cannot be read, or a column of lists or tables.
@@ -91,8 +91,7 @@ def read_table(file: str | Path, role: str, categories: Sequence[str] = ()) -> p
             table = pd.read_parquet(plain)
         else:
             columns = range(check_rows(plain, str(file)))
-            kinds = dict.fromkeys(categories, "category")
-            table = pd.read_csv(plain, usecols=columns, dtype=kinds)
+            table = pd.read_csv(plain, usecols=columns, **options)
         for name, column in table.items():
             is_object = pd.api.types.is_object_dtype(column)
             if is_object and not column.map(pd.api.types.is_hashable).all():

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from jaxurban.checks import finite
 from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
@@ -233,15 +232,10 @@ def workers_of(workers: int | None, cluster: str | None) -> int | str | None:
     return workers or cluster
 
 
-def finite_option(ctx: click.Context, param: click.Parameter, number: float | None) -> float | None:
-    """Return the number of an option, if it is given; InputError of NaN and of infinity."""
-    return number if number is None else finite(str(param.name), number)
-
-
 LONLAT = Numbers("LON,LAT", "longitude,latitude in degrees, as in -74.0,40.7", 2)
 COUNT, POSITIVE_COUNT = click.IntRange(min=0), click.IntRange(min=1)
 SHOWN = partial(click.option, show_default=True)  # its default, in the help
-NUMBER = partial(click.option, type=float, callback=finite_option)
+NUMBER = partial(click.option, type=float)
 METRES = partial(NUMBER, metavar="METRES")
 FLAG = partial(click.option, is_flag=True)
 FOLDER = click.argument("folder", metavar="DIR", type=MAPS_PATH, is_eager=True)

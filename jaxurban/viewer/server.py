@@ -7,6 +7,7 @@ No file is ever served by its name. A request must name this host, as a page of 
 import gzip
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Lock
@@ -23,7 +24,9 @@ HOST = "127.0.0.1"
 MOST_BODY = 128 * 1024  # bytes of a request
 MOST_MISSION = 3 * MOST_BYTES // 2  # of one with a mission, which base64 lengthens by a third
 PATIENCE_S = 20.0  # for the next bytes of a request
+TURN_PATIENCE_S = 2.0  # for those of one for which others may wait
 ASK = "/ask/"
+CHECK = "check"
 
 
 class _RefusedError(Exception):
@@ -55,6 +58,8 @@ class ViewerServer(ThreadingHTTPServer):
     ) -> None:
         self.viewer, self.again = viewer, again
         self._lock = Lock()  # while another viewer is made
+        # By the name of requests that take turns: a mission of 15 MB may take half a GB while it is read and judged.
+        self.turns = {CHECK: Lock()}
         self.page = html_page()
         try:
             super().__init__((HOST, port), _Handler)
@@ -86,6 +91,7 @@ class _Handler(BaseHTTPRequestHandler):
     """Answers one connection; Python's server calls ``do_GET`` and its like, and reads the attributes below."""
 
     server: ViewerServer
+    rfile: Any  # a BufferedReader
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "jaxurban", ""
     # Else an answer waits 40 ms for the browser to acknowledge its head.
@@ -126,20 +132,26 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RefusedError(HTTPStatus.NOT_FOUND, f"requests go to {ASK}NAME")
         if self.headers.get_content_type() != JSON:
             raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"a request is {JSON}")
-        body = self._body(MOST_MISSION if path == f"{ASK}check" else MOST_BODY)
-        try:
-            params = json.loads(body)
-        except (ValueError, RecursionError) as error:
-            raise _RefusedError(HTTPStatus.BAD_REQUEST, "the request is no JSON") from error
-        viewer = self.server.viewer
-        viewer.check_current(key)
-        return viewer.answer(path.removeprefix(ASK)[:40], params)
+        name = path.removeprefix(ASK)[:40]
+        length = self._length(MOST_MISSION if name == CHECK else MOST_BODY)
+        if length:
+            self.rfile.peek()  # so that nobody waits for one who sends nothing
+        with self.server.turns.get(name, nullcontext()):
+            self.connection.settimeout(TURN_PATIENCE_S)
+            try:
+                params = json.loads(self.rfile.read(length))
+            except (ValueError, RecursionError) as error:
+                raise _RefusedError(HTTPStatus.BAD_REQUEST, "the request is no JSON") from error
+            self.connection.settimeout(PATIENCE_S)
+            viewer = self.server.viewer
+            viewer.check_current(key)
+            return viewer.answer(name, params)
 
-    def _body(self, most: int) -> bytes:
-        """Return the body of a request.
+    def _length(self, most: int) -> int:
+        """Return how many bytes the body of a request has.
 
         Raises:
-          _RefusedError: the request does not say how long its body is, or it has more than ``most`` bytes.
+          _RefusedError: the request does not say it, or it has more than ``most``.
         """
         length = self.headers.get("Content-Length", "")
         if "Transfer-Encoding" in self.headers or not length.isdecimal():
@@ -148,7 +160,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RefusedError(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request is at most {most} bytes"
             )
-        return self.rfile.read(int(length))
+        return int(length)
 
     def _check_sender(self) -> None:
         """Refuse a request that names another host than this one, or comes from a page of another origin.

@@ -7,6 +7,7 @@ import http.client
 import json
 import re
 import socket
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
@@ -15,10 +16,11 @@ import pyproj
 import pytest
 
 import jaxurban as ju
+from jaxurban.viewer import server as serving
 from jaxurban.viewer.html import html_page, part, policy_of
 from jaxurban.viewer.server import MOST_BODY
 from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, middles, packed_tile, strides_of
-from jaxurban.viewer.viewer import Viewer
+from jaxurban.viewer.viewer import JSON, Answer, Viewer
 from tests.made_maps import made_maps
 from tests.viewer.browser import served, unpacked
 
@@ -385,3 +387,43 @@ def test_the_policy_allows_the_page_its_own_script_alone():
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert f"script-src 'sha256-{digest}'" in policy
     assert "unsafe-eval" not in policy
+
+
+def test_missions_take_turns_and_nobody_waits_for_one_who_sends_nothing(monkeypatch):
+    at_once, most = [], []
+
+    def answer(viewer, name, params):
+        at_once.append(name)
+        most.append(len(at_once))
+        time.sleep(0.05)
+        at_once.remove(name)
+        return Answer(JSON, b"{}")
+
+    monkeypatch.setattr(Viewer, "answer", answer)
+    with served(Viewer(MAPS)) as server, ThreadPoolExecutor(8) as pool:
+        silent = [socket.create_connection(server.server_address) for _ in range(8)]
+        for each in silent:
+            head = f"POST /ask/check HTTP/1.1\r\nHost: 127.0.0.1:{server.server_port}\r\n"
+            each.sendall(f"{head}Content-Type: {JSON}\r\nContent-Length: 9\r\n\r\n".encode())
+        began = time.perf_counter()
+        replies = list(pool.map(lambda _: post(server, "check", MISSION), range(8)))
+        assert [status for status, _ in replies] == [200] * 8
+        assert max(most) == 1
+        assert time.perf_counter() - began < 5
+        list(pool.map(lambda _: post(server, "plan", PLAN), range(8)))
+        assert max(most) > 1
+        for each in silent:
+            each.close()
+
+
+def test_one_who_stops_within_a_mission_is_given_up_soon(monkeypatch):
+    monkeypatch.setattr(serving, "TURN_PATIENCE_S", 0.2)
+    with served(Viewer(MAPS)) as server, closing(socket.socket()) as stopped:
+        stopped.connect(server.server_address)
+        head = f"POST /ask/check HTTP/1.1\r\nHost: 127.0.0.1:{server.server_port}\r\n"
+        stopped.sendall(f"{head}Content-Type: {JSON}\r\nContent-Length: 9\r\n\r\n{{".encode())
+        time.sleep(0.05)
+        began = time.perf_counter()
+        assert post(server, "check", MISSION)[0] == 400
+        assert time.perf_counter() - began < 5
+        assert stopped.recv(9) == b""

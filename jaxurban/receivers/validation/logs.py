@@ -85,9 +85,9 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
     """
     if isinstance(source, pd.DataFrame):
         return table_log(source, "the table")
-    return table_log(
-        read_table(located(source), "receiver log", categories=(UTC, SATELLITE)), str(source)
-    )
+    # Texts that many rows repeat take less room as categories.
+    kinds = dict.fromkeys((UTC, SATELLITE), "category")
+    return table_log(read_table(located(source), "receiver log", dtype=kinds), str(source))
 
 
 def table_log(table: pd.DataFrame, name: str) -> ReceiverLog:

@@ -28,7 +28,7 @@ function missionsOf({ root, is, field, scene, ask, latest, tell, draw, view, rul
     is('mission').textContent = file?.name ?? '';
     is('close').hidden = !file;
     if (!file) return;
-    is('state').textContent = 'Judging the mission …';
+    is('state').innerHTML = '<label>Judging the mission …<progress></progress></label>';
     try {
       if (file.size > scene.most_bytes) throw new Error(`${file.name} has more than ${scene.most_bytes >> 20} MiB.`);
       put(await ask('check', { ...limits, file: file.name, data: await base64Of(file) }));
