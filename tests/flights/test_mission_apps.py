@@ -293,7 +293,7 @@ def test_a_row_of_litchi_that_blanks_make_fit_is_refused(read, shift):
     shifted = (
         [*values[:4], " 0", *values[4:-1], ""] if shift > 0 else [*values[:4], *values[5:], ""]
     )
-    with pytest.raises(ju.InputError, match="row 1 of .* may be shifted"):
+    with pytest.raises(ju.InputError, match=r"row 1 of .* may be shifted"):
         read("\n".join([header, ",".join(shifted), *others]))
 
 
