@@ -17,7 +17,7 @@ from jaxurban.flights.by_autopilot import worse_of
 from jaxurban.flights.check_result import MissionCheck
 from jaxurban.flights.contacts import Prisms, buildings_of, union_m
 from jaxurban.flights.flown import figures_of
-from jaxurban.flights.item_returns import by_item, departures_of, return_lines
+from jaxurban.flights.item_returns import departures_of
 from jaxurban.flights.judge import SPAN, below_home, judged, placed
 from jaxurban.flights.legs import Flight, flight_of
 from jaxurban.flights.missions.mission import read_mission
@@ -149,11 +149,10 @@ def check(
     known = shapely.box(*maps.grid.bounds_m)
     if city and not standing.reason:  # a raster of plants is looked at in the maps' cells alone
         known = shapely.intersection(known, city.known_ground) if city.plants else city.known_ground
-    ground = Elevation(maps, city)
     buildings = buildings_of(maps, city)
     checks, departures = {}, []
     for name, way in mission.ways.items():
-        flight = flight_of(way, ground, geoid_m)
+        flight = flight_of(way, Elevation(maps, city), geoid_m)
         findings, unknown = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
         flown = figures | figures_of(flight, maps, times, time_of_day)
         exceeded, open_limits = _against_maxima(flight, flown, max_no_fix_m, max_people)
@@ -172,13 +171,7 @@ def check(
             zones=limits.zones,
             left_out=left_out(maps, city),
         )
-    result = worse_of(checks)
-    returns = pd.concat(departures)
-    return replace(
-        result,
-        return_altitudes=by_item(returns),
-        return_lines=return_lines(returns, result.flight, ceiling_m),
-    )
+    return worse_of(checks, pd.concat(departures), ceiling_m)
 
 
 def _in_force(limits: Constraints, times: Sequence[str]) -> Constraints:

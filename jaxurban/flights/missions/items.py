@@ -207,13 +207,13 @@ def flyer_of(name: str, named: Autopilot, asked: FlownBy | None) -> Autopilot:
     Raises:
       InputError: they name two.
     """
-    if asked is None or asked == named:
+    if asked in (None, named):
         return named
-    if named != "unknown":
-        raise InputError(
-            f"{name!r} is a mission for {AUTOPILOTS[named]}, by what it says itself: leave autopilot={asked!r} out"
-        )
-    return asked
+    if named == "unknown":
+        return asked
+    raise InputError(
+        f"{name!r} is a mission for {AUTOPILOTS[named]}, by what it says itself: leave autopilot={asked!r} out"
+    )
 
 
 def mission_of(
