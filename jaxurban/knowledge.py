@@ -36,6 +36,11 @@ class GuessKind(Enum):
         "{share} of the region has no elevation in the terrain {file} and takes that of the ground around, up to "
         "{reach_m:g} m away: give a terrain without voids where that is too rough",
     )
+    LOW_GROUND = (
+        "{number:,} cells of the terrain without their low points",
+        "the lowest ground points in {number:,} cells of the terrain {file} lie far below all around and are left out: "
+        "classify them as noise, or give another terrain if they are a true pit",
+    )
     RISING_TERRAIN = (
         "{share} of heights in the terrain",
         "{share} of the heights of buildings are in the terrain already, as in a surface model (SRTM, Copernicus "
@@ -66,6 +71,11 @@ class GuessKind(Enum):
         "{number:,} objects without a shape",
         "{number:,} objects in the file of buildings have no shape that is read, so it is not known where they stand, "
         "and nothing keeps away from them: give them shapes, or remove them",
+    )
+    COARSE_SOLIDS = (
+        "{number:,} buildings as high as their coarser solids",
+        "the finest solids of {number:,} buildings are more than 3 m lower than coarser ones of the same buildings, so "
+        "the higher ones stand: mend the wrong ones",
     )
     NODATA_ZERO = (
         "{share} of heights by the nodata value 0",

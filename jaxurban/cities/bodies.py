@@ -13,7 +13,7 @@ import shapely
 
 from jaxurban.cities.heights import parse_height_m
 from jaxurban.cities.outlines import Outlines
-from jaxurban.errors import GuessWarning, InputError, warn
+from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue
 from jaxurban.world.grid import WGS84, area_of, check_on_earth, known_crs, transformer
 
@@ -240,12 +240,6 @@ def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -
     table = pd.DataFrame(bodies, dtype=object)
     polygons = table.pop("polygon").to_numpy()
     num_coarse = int(table.pop("is_coarse").sum())
-    if num_coarse:
-        warn(
-            f"the finest solids of {num_coarse:,} buildings in {str(path)!r} are more than {DIFFER_M:g} m lower than "
-            "coarser ones of the same buildings, so the higher ones stand: mend the wrong ones",
-            GuessWarning,
-        )
     tags = {str(name): table[name].to_numpy() for name in table}
 
     if not _is_x_first(crs, shapely.total_bounds(polygons), codes == crs_names):

@@ -97,6 +97,10 @@ ROOF_RANGE_M = (
     HIGHEST_M,
 )  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 SMALL_BYTES = 16 * 2**20  # of a file of outlines
+GUESSED_OF = {  # what is said of what readers met
+    ReadIssue.POLYGONS_DROPPED: GuessKind.WITHOUT_SHAPE,
+    ReadIssue.SOLIDS_COARSE: GuessKind.COARSE_SOLIDS,
+}
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 PLANTS_REACH_M = 1000.0  # farther than a lidar of a drone sees
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
@@ -193,9 +197,9 @@ def read_city(
         source.buildings, source.learned, crs, box_m, buildings
     )
     guesses += structure_guesses(source.others, box_m)
-    num_lost = issues.get(ReadIssue.POLYGONS_DROPPED)
-    if num_lost:
-        guesses += guessed(GuessKind.WITHOUT_SHAPE, number=num_lost)
+    for issue, kind in GUESSED_OF.items():
+        if issues.get(issue):
+            guesses += guessed(kind, number=issues[issue])
     blocks = None
     if people.has_blocks:
         blocks, block_issues = read_blocks(people, crs, wide_m, box_m)
@@ -244,13 +248,18 @@ def _read_ground(
     """
     if path is None:
         return None, None, ()
+    num_low = 0
     if sniff(path) == LIDAR:
-        ground = _points_of(path, buildings).ground
+        points = _points_of(path, buildings)
+        ground = points.ground
+        num_low = points.counts[ReadIssue.GROUND_FAR_BELOW]
         extent_m = area_of_raster(ground, crs).bounds
     else:
         ground = read_raster(path, crs, wide_m)
         extent_m = raster_extent_m(path, crs)
     ground, guesses = filled_terrain(repr(str(path)), ground, crs, box_m)
+    if num_low:
+        guesses += guessed(GuessKind.LOW_GROUND, number=num_low, file=repr(str(path)))
     return ground, extent_m, guesses
 
 

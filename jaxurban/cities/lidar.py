@@ -4,7 +4,6 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from pyproj.exceptions import CRSError
 from rasterio.fill import fillnodata
 
 from jaxurban.cities.raster import heights_of_surface, unit_of_heights_m
-from jaxurban.errors import GuessWarning, InputError, readable, warn
+from jaxurban.errors import InputError, readable
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.sniff import in_own_words
 from jaxurban.world.grid import check_on_earth, known_crs
@@ -151,13 +150,6 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
     ground = -layers[GROUND]
     is_low = _is_far_below(ground, max(FAR_BELOW_M, FAR_BELOW_SIDES * side))
     ground[is_low] = np.nan
-    num_low = int(is_low.sum())
-    if num_low:
-        warn(
-            f"the lowest ground points in {num_low:,} cells of the terrain {name} lie far below all "
-            "around and are left out: classify them as noise, or give another terrain if they are a true pit",
-            GuessWarning,
-        )
     num_built = 3 if kind == "surface" else 2 - bool(counts[LAYER_OF == BUILT].any())
     roofs = np.fmax.reduce(layers[:num_built])
     plants = np.fmax.reduce(layers[num_built:GROUND], initial=np.nan)
@@ -171,7 +163,7 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
         on_grid(plants),
         on_grid(highest),
         {f"of class {number}": int(count) for number, count in enumerate(counts)}
-        | {ReadIssue.GROUND_FAR_BELOW: num_low},
+        | {ReadIssue.GROUND_FAR_BELOW: int(is_low.sum())},
     )
 
 
@@ -184,11 +176,8 @@ def _is_far_below(ground: np.ndarray, far_m: float) -> np.ndarray:
       ground: ``[Y, X]`` metres, NaN without a point.
       far_m: how far.
     """
-    beside_m = ground
-    for step in product(
-        (-1, 0, 1), repeat=2
-    ):  # a border has the other one beside it, at worst for nothing
-        beside_m = np.fmax(beside_m, np.roll(ground, step, (0, 1)))
+    width = ground.shape[1]
+    beside_m = np.fmax.reduce([np.roll(ground, step) for step in (1, -1, width, -width)])
     is_low = beside_m - ground > far_m
     padded = np.pad(np.nan_to_num(ground, nan=np.inf), AROUND // 2, constant_values=np.inf)
     around = sliding_window_view(padded, (AROUND, AROUND))[is_low].reshape(-1, AROUND**2)
