@@ -305,6 +305,22 @@ def test_a_mission_is_opened_its_findings_are_listed_and_each_one_moves_the_map(
 
 
 @pytest.mark.slow
+@SCREENS
+def test_a_bar_is_shown_with_its_words_while_a_mission_is_judged(browser, url, files, screen):
+    with opened(browser, url, is_well=False, **screen) as page:
+        held = []
+        page.route("**/ask/check*", lambda route: held.append(route))
+        by_button(page, files["clean"])
+        until(page, lambda: held)
+        bar = page.get_by_role("progressbar", name="Judging the mission")
+        assert bar.is_visible()
+        assert page.evaluate(FAULTS) == []
+        held[0].continue_()
+        until(page, lambda: "Clean" in text_of(page, "state"))
+        assert bar.count() == 0
+
+
+@pytest.mark.slow
 def test_another_file_takes_the_place_of_the_first_and_close_leaves_none(browser, url, files):
     with opened(browser, url, is_well=False, **DESKTOP) as page:
         texts = '[data-is="state"], [data-is="findings"], [data-is="not-judged"]'
