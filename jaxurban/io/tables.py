@@ -5,6 +5,7 @@ import hashlib
 import io
 import json
 import math
+import re
 import time
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
@@ -132,7 +133,10 @@ def check_rows(source: Path | io.BytesIO, name: str) -> int:
     _check_width("".join(lines[:1]).count(",") + 1, name)
     reader = csv.reader((line for line in lines if len(line) < csv.field_size_limit()), strict=True)
     rows = filter(None, reader)
-    num = len(next(rows, []))
+    header = next(rows, [])
+    num = len(header)
+    if num == 1 and re.search(r"[;\t]", header[0]):
+        return num
     for row in rows:
         is_note = len(row) == 1 and " " in row[0]
         has_more = "".join(row[num:]).strip()

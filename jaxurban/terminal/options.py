@@ -11,7 +11,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import click
 
-from jaxurban.checks import one_of, unit_of_argument
+from jaxurban.checks import finite, one_of, unit_of_argument
 
 Decorator = Callable[[Callable], Callable]
 ONE = {float: click.FLOAT, int: click.INT, bool: click.BOOL, str: click.STRING}
@@ -146,7 +146,7 @@ class Values(click.ParamType):
 
         Raises:
           BadParameter: a name twice, or a value of another kind.
-          InputError: a name that is no field.
+          InputError: a name that is no field, or a number that is not finite.
         """
         said = f"a name in {param.opts[0]}" if param else "a name"
         values: dict[str, Any] = {}
@@ -155,7 +155,8 @@ class Values(click.ParamType):
             name = one_of(said, given.strip() or self.names[0], self.names)
             if name in values:
                 self.fail(f"{name} stands twice: give it one value", param, ctx)
-            values[name] = type_of(self.hints[name]).convert(text.strip(), param, ctx)
+            number = type_of(self.hints[name]).convert(text.strip(), param, ctx)
+            values[name] = finite(name, number) if isinstance(number, float) else number
         return values
 
 

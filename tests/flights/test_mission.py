@@ -450,7 +450,9 @@ LINES = {"m.kml": kml(), "m.gpx": GPX, "m.geojson": json.dumps(GEOJSON), "m.csv"
         json.dumps(plan_of([item(TAKEOFF), item(at=1)])),
         json.dumps(dict(reversed(plan_of([item(TAKEOFF), item(at=1)]).items()))),
         json.dumps(plan_of([item(TAKEOFF), item(at=1)])).encode("utf-16"),
-        waypoints_of((22, 3, NONE, LAT, LON, 9), (16, 3, NONE, LAT, 9.0, 9)),
+        waypoints_of(
+            (16, 0, NONE, LAT, LON, 9), (22, 3, NONE, LAT, LON, 9), (16, 3, NONE, LAT, 9.0, 9)
+        ),
         kml("absolute"),
         "<?xml version='1.0'?>\n<!-- by hand -->\n" + GPX,
         json.dumps(GEOJSON),

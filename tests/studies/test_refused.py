@@ -159,9 +159,9 @@ ROWS = [
         lambda s: of_file(s, lambda table: pd.concat([table, table])),
     ),
     ("instances.csv.*no row", lambda s: of_file(s, lambda table: table[:0])),
-    ("cannot be read", lambda s: read_instances(shutil.copy(__file__, s.tmp_path / "a.parquet"))),
+    ("lacks the column", lambda s: read_instances(shutil.copy(__file__, s.tmp_path / "a.parquet"))),
     ("does not exist", lambda s: read_instances(s.tmp_path / "b.csv")),
-    ("end its name", lambda _: read_instances("c.txt")),
+    ("does not exist", lambda _: read_instances("c.txt")),
     (
         r"lists\.parquet.*'crs' holds lists",
         lambda s: of_file(s, name="lists.parquet", crs=[["EPSG:32618"]] * 2),

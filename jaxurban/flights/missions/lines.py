@@ -586,7 +586,7 @@ def _check_filled(name: str, header: Sequence[str], rows: Sequence[Sequence[str]
     """
     for number, row in enumerate(rows, start=1):
         cells = [cell for title, cell in zip(header, row, strict=False) if title.strip()]
-        if len(row) != len(header) or not all(map(str.strip, cells)):
+        if len(row) != len(rows[-1]) or not all(map(str.strip, cells)):
             raise InputError(
                 f"row {number} of {name!r} has {len(row)} values, blank ones among them, for {len(header)} columns: "
                 "others may be shifted, so mend that row, or remove it"
