@@ -196,9 +196,8 @@ def _of_vector_file(path: Path) -> list[Zone]:
         num_lost += sum(map(_num_shapes, properties.columns, map(properties.get, properties)))
 
         # Of each row: its filled properties by plain name, its own name, its shape and its heights.
-        for row, shape in zip(
-            properties.to_dict("records"), frame.geometry.to_numpy(), strict=True
-        ):
+        for row in frame.to_dict("records"):
+            shape = row.pop(frame.geometry.name)
             num_read += 1
             facts = {_plain(name): value for name, value in row.items() if not is_blank(value)}
             names = (str(facts[name]).strip() for name in NAME_NAMES if name in facts)
