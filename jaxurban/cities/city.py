@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -52,7 +52,7 @@ from jaxurban.cities.tiles import ARCHIVE, READERS, read_tiles
 from jaxurban.cities.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.city import City, joined_credits
-from jaxurban.io.issues import ReadIssue
+from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
 from jaxurban.io.sampling import heights_above, pixel_xy
 from jaxurban.io.sniff import LIDAR, sniff
@@ -60,6 +60,7 @@ from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed, warn_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES, Population, check_has_people
 from jaxurban.settings import SLABS
+from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import MAIN_SHARE, main_bounds, meets
 from jaxurban.world.grid import (
     WGS84,
@@ -106,6 +107,24 @@ PLANTS_REACH_M = 1000.0  # farther than a lidar of a drone sees
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
 
 
+class _Region(NamedTuple):
+    """The region of a city, and how far around it files are read.
+
+    Attributes:
+      bounds: west, south, east, north in degrees.
+      crs: projected CRS of the city, and of the boxes x_min, y_min, x_max, y_max.
+      box_m: of the region.
+      wide_m: from where a shadow reaches the region.
+      near_m: in which plants count.
+    """
+
+    bounds: Bounds
+    crs: str
+    box_m: Bounds
+    wide_m: Bounds
+    near_m: Bounds
+
+
 def read_city(
     buildings: settings.Buildings,
     *,
@@ -123,17 +142,7 @@ def read_city(
     if sniff(located(buildings.source)) == LIDAR:
         terrain = replace(terrain, source=terrain.source or buildings.source)
         vegetation = replace(vegetation, source=vegetation.source or buildings.source)
-
-    # A sample city (`SAMPLES`) gives what the arguments leave out.
-    sample = SAMPLES.get(sample_name(buildings.source) or "", {})
-    if bounds is None and sample:
-        bounds = sample["region"]["bounds"]
-    own_gps = gps or (Gps(**sample["gps"]) if sample else None)
-    people = population or Population()
-    if not people.has_blocks:
-        own_people = sample.get("population", {})
-        left_out = {name: file for name, file in own_people.items() if not getattr(people, name)}
-        people = replace(people, **left_out)
+    bounds, own_gps, people = _with_sample(buildings.source, bounds, gps, population)
 
     # The names of the files as the arguments have them are kept for provenance. The files are read by their paths.
     files = {
@@ -141,110 +150,109 @@ def read_city(
         "structures": structures_of(buildings.source, kinds),
         "terrain": terrain.source,
         "vegetation": vegetation.source,
+        **{role: getattr(people, role) for role in FILES},
     }
-    files |= {role: getattr(people, role) for role in FILES}
-    buildings = _placed(buildings)
-    terrain, vegetation = _placed(terrain), _placed(vegetation)
-    people = _placed(people)
+    sections = [_placed(each) for each in (buildings, terrain, people, vegetation)]
+    buildings, terrain, people, vegetation = sections
     check_has_people(people, people.has_blocks)
 
-    # The region, and the wider box from which a shadow can reach it: satellites are in view down to the mask alone.
-    outlines = None
+    # The region, its ground, and what stands on it.
+    covered, outlines = bounds, None
     if bounds is None:
         covered, outlines = _extent(buildings.source, buildings.crs, buildings)
-    region = check_bounds(covered if bounds is None else bounds)
-    if crs is None:
-        crs = utm_of(region)
-    projected_crs(crs)
-    box_m = box_of(region, crs)
-    sky = gps or Gps()
-    relief_m = 0.0 if terrain.source is None else RELIEF_M
-    rise_per_m = math.tan(math.radians(max(sky.lowest_mask_deg, 0.5)))
-    region_box = shapely.box(*box_m)
-    reach_m = (TALLEST_M + relief_m) / rise_per_m
-    wide_m = region_box.buffer(reach_m, join_style="mitre").bounds
-
-    # The ground, and what stands on it.
-    ground, ground_extent_m, guesses = _read_ground(terrain.source, buildings, crs, wide_m, box_m)
-    # Plants count nearby; where they hide satellites, those on hills do too.
-    rise_m = TALLEST_PLANT_M + relief_m * (sky.plants == "hide")
-    reach_m = max(PLANTS_REACH_M, rise_m / rise_per_m)
-    near_m = region_box.buffer(reach_m, join_style="mitre").bounds
-    plants = _read_plants(vegetation.source, buildings, ground, crs, near_m, box_m)
-    if plants is not None:
-        guesses += plants_guesses(repr(str(vegetation.source)), plants, crs, box_m)
+    region = _region_of(covered, crs, gps or Gps(), has_relief=terrain.source is not None)
+    ground, ground_extent_m, ground_guesses = _read_ground(terrain.source, buildings, region)
+    plants, plant_guesses = _read_plants(vegetation.source, buildings, ground, region)
     source = read_buildings(
         buildings,
-        crs,
-        bounds_m=wide_m,
+        region.crs,
+        bounds_m=region.wide_m,
         terrain=ground,
         beside=files["structures"],
         whole=outlines,
     )
     del outlines  # as large as the city
-    _check_buildings(buildings, source, ground, box_m, region)
-    source = replace(source, kinds=kinds)
-
-    # Without bounds the region is all that the buildings cover, which may be too much.
-    issues = dict(source.read_issues)
+    _check_buildings(buildings, source, ground, region)
     if bounds is None and source.buildings is not None:
-        main = main_bounds(source.buildings.polygons, crs, region)
+        main = main_bounds(source.buildings.polygons, region.crs, region.bounds)
         if main is not None:
-            warn(covers_too_much(buildings.source, region, main), GuessWarning)
+            warn(covers_too_much(buildings.source, region.bounds, main), GuessWarning)
+    blocks, block_issues, block_guesses = _read_people(people, region)
 
-    # People, and what was guessed of heights, of people and of the ground.
-    guesses += source.guesses + height_guesses(
-        source.buildings, source.learned, crs, box_m, buildings
-    )
-    guesses += structure_guesses(source.others, box_m)
-    for issue, kind in GUESSED_OF.items():
-        if issues.get(issue):
-            guesses += guessed(kind, number=issues[issue])
-    blocks = None
-    if people.has_blocks:
-        blocks, block_issues = read_blocks(people, crs, wide_m, box_m)
-        issues |= block_issues
-        guesses += census_guesses(block_issues, blocks, people)
-    if ground is None:
-        guesses += guessed(GuessKind.FLAT_GROUND)
-    else:
-        stands = source.roofs if source.standing is None else source.standing
-        guesses += terrain_guesses(stands, ground, crs, box_m)
-    warn_of(guesses)
-
-    return replace(
+    city = replace(
         source,
         blocks=blocks,
         terrain=ground,
         terrain_extent_m=ground_extent_m,
-        read_issues=issues,
-        attribution=joined_credits(
-            source.attribution,
-            buildings.credit,
-            terrain.credit,
-            people.credit,
-            vegetation.credit,
-        ),
-        guesses=guesses,
+        read_issues={**source.read_issues, **block_issues},
+        attribution=joined_credits(source.attribution, *(each.credit for each in sections)),
         sources={role: str(path) for role, path in files.items() if path is not None},
-        bounds=region,
+        bounds=region.bounds,
         gps=own_gps,
         population=population and people,
         heights=buildings,
         vegetation=plants,
+        kinds=kinds,
     )
+    guesses = ground_guesses + plant_guesses + _guesses_of(city, buildings, region)
+    guesses += block_guesses + _relief_guesses(city, region)
+    warn_of(guesses)
+    return replace(city, guesses=guesses)
+
+
+def _with_sample(
+    source: Any, bounds: Sequence[float] | None, gps: Gps | None, people: Population | None
+) -> tuple[Sequence[float] | None, Gps | None, Population]:
+    """Return bounds, satellites and people, of which a sample city (`SAMPLES`) gives those that are left out."""
+    people = people or Population()
+    sample = SAMPLES.get(sample_name(source) or "")
+    if sample is None:
+        return bounds, gps, people
+    if bounds is None:
+        bounds = sample["region"]["bounds"]
+    if not people.has_blocks:
+        own_files = sample.get("population", {}).items()
+        left_out = {name: file for name, file in own_files if not getattr(people, name)}
+        people = replace(people, **left_out)
+    return bounds, gps or Gps(**sample["gps"]), people
+
+
+def _region_of(bounds: Any, crs: str | None, gps: Gps, has_relief: bool) -> _Region:
+    """Return a region with the boxes around it.
+
+    Satellites are in view down to the mask alone. Plants count nearby; where they hide satellites, those on hills do
+    too.
+
+    Args:
+      bounds: west, south, east, north in degrees.
+      crs: projected CRS of the city; None for the UTM zone of the region's middle.
+      gps: the mask, and whether plants hide satellites.
+      has_relief: whether the ground may rise.
+    """
+    region = check_bounds(bounds)
+    if crs is None:
+        crs = utm_of(region)
+    projected_crs(crs)
+    box_m = box_of(region, crs)
+    relief_m = RELIEF_M if has_relief else 0.0
+    rise_per_m = math.tan(math.radians(max(gps.lowest_mask_deg, 0.5)))
+    wide_m = (TALLEST_M + relief_m) / rise_per_m
+    plants_m = TALLEST_PLANT_M + relief_m * (gps.plants == "hide")
+    near_m = max(PLANTS_REACH_M, plants_m / rise_per_m)
+    box = shapely.box(*box_m)
+    around_m = (box.buffer(each_m, join_style="mitre").bounds for each_m in (wide_m, near_m))
+    return _Region(region, crs, box_m, *around_m)
 
 
 def _read_ground(
-    path: Any, buildings: settings.Buildings, crs: str, wide_m: Bounds, box_m: Bounds
+    path: Any, buildings: settings.Buildings, region: _Region
 ) -> tuple[Raster | None, Bounds | None, Guesses]:
     """Return the ground by a file, the box that the file covers, and what was guessed; None without a file.
 
     Args:
       path: of a raster or of lidar points, or None.
       buildings: whose CRS may be that of the points.
-      crs: projected CRS of the city.
-      wide_m, box_m: from where shadows reach the region, and the region, in ``crs``.
+      region: of the city.
     """
     if path is None:
         return None, None, ()
@@ -253,56 +261,88 @@ def _read_ground(
         points = _points_of(path, buildings)
         ground = points.ground
         num_low = points.counts[ReadIssue.GROUND_FAR_BELOW]
-        extent_m = area_of_raster(ground, crs).bounds
+        extent_m = area_of_raster(ground, region.crs).bounds
     else:
-        ground = read_raster(path, crs, wide_m)
-        extent_m = raster_extent_m(path, crs)
-    ground, guesses = filled_terrain(repr(str(path)), ground, crs, box_m)
-    if num_low:
-        guesses += guessed(GuessKind.LOW_GROUND, number=num_low, file=repr(str(path)))
+        ground = read_raster(path, region.crs, region.wide_m)
+        extent_m = raster_extent_m(path, region.crs)
+    name = repr(str(path))
+    ground, guesses = filled_terrain(name, ground, region.crs, region.box_m)
+    guesses += guessed(GuessKind.LOW_GROUND, float(num_low > 0), number=num_low, file=name)
     return ground, extent_m, guesses
 
 
 def _read_plants(
-    path: Any,
-    buildings: settings.Buildings,
-    ground: Raster | None,
-    crs: str,
-    near_m: Bounds,
-    box_m: Bounds,
-) -> Raster | None:
-    """Return the heights of plants by a file, None without one; arguments as of `_read_ground`.
+    path: Any, buildings: settings.Buildings, ground: Raster | None, region: _Region
+) -> tuple[Raster | None, Guesses]:
+    """Return the heights of plants by a file, and what was guessed; None without a file.
+
+    Args:
+      path: of a raster or of lidar points, or None.
+      buildings: whose CRS may be that of the points.
+      ground: on which plants of points stand.
+      region: of the city.
 
     Raises:
       InputError: lidar points without the ground; as of `read_plants`.
     """
     if path is None:
-        return None
+        return None, ()
     if sniff(path) != LIDAR:
-        return read_plants(path, crs, near_m, box_m)
-    if ground is None:
+        plants = read_plants(path, region.crs, region.near_m, region.box_m)
+    elif ground is None:
         raise InputError(
             f"plants of the lidar points {str(path)!r} stand on the ground: give its elevation as "
             "[terrain] source, which may be the same file"
         )
-    plants = heights_above(_points_of(path, buildings).plants, ground)
-    return replace(plants, values=np.nan_to_num(plants.values))
+    else:
+        plants = heights_above(_points_of(path, buildings).plants, ground)
+        plants = replace(plants, values=np.nan_to_num(plants.values))
+    return plants, plants_guesses(repr(str(path)), plants, region.crs, region.box_m)
+
+
+def _read_people(people: Population, region: _Region) -> tuple[Blocks | None, ReadIssues, Guesses]:
+    """Return census blocks, what was met and what was guessed; None without a file of them."""
+    if not people.has_blocks:
+        return None, {}, ()
+    blocks, issues = read_blocks(people, region.crs, region.wide_m, region.box_m)
+    return blocks, issues, census_guesses(issues, blocks, people)
+
+
+def _guesses_of(city: City, file: settings.Buildings, region: _Region) -> Guesses:
+    """Return what was guessed of roofs, of heights, of what else stands, and of what has no shape."""
+    guesses = (
+        *city.guesses,
+        *height_guesses(city.buildings, city.learned, region.crs, region.box_m, file),
+        *structure_guesses(city.others, region.box_m),
+    )
+    for issue, kind in GUESSED_OF.items():
+        number = city.read_issues.get(issue, 0)
+        guesses += guessed(kind, float(number > 0), number=number)
+    return guesses
+
+
+def _relief_guesses(city: City, region: _Region) -> Guesses:
+    """Return what was guessed of the ground."""
+    if city.terrain is None:
+        return guessed(GuessKind.FLAT_GROUND)
+    stands = city.roofs if city.standing is None else city.standing
+    return terrain_guesses(stands, city.terrain, region.crs, region.box_m)
 
 
 def _check_buildings(
-    file: settings.Buildings, source: City, ground: Raster | None, box_m: Bounds, region: Bounds
+    file: settings.Buildings, source: City, ground: Raster | None, region: _Region
 ) -> None:
     """Raise InputError where heights look like elevations, or none is in the region, unless the settings allow it."""
     name = repr(str(file.source))
     if "high" not in file.allow:
         stands = source.roofs if source.buildings is None else source.buildings
         check_are_heights(name, stands, source.crs, source.extent_m, ground)
-    has_outline = source.buildings is not None and source.buildings.touches(box_m).any()
+    has_outline = source.buildings is not None and source.buildings.touches(region.box_m).any()
     has_roof = source.roofs is not None and (source.roofs.values > 0).any()
     if not (has_outline or has_roof or "none" in file.allow):
         raise InputError(
-            f"{name} has no building in the region {list(region)}: "
-            f"{where_it_lies(lonlat_extent(file.source, file.crs), region)}; "
+            f"{name} has no building in the region {list(region.bounds)}: "
+            f"{where_it_lies(lonlat_extent(file.source, file.crs), region.bounds)}; "
             "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
             'allow = ["none"] if there are none'
         )
