@@ -1,6 +1,6 @@
 """The rules that make of features Footprints: buildings and their parts, and what else stands."""
 
-import math
+from collections import Counter
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -9,37 +9,22 @@ import pandas as pd
 import shapely
 
 from jaxurban import settings
-from jaxurban.cities.bridges import DECK, bridges_of
-from jaxurban.cities.heights import estimate_heights, parse_length_m, read_column, with_decks
+from jaxurban.cities.heights import estimate_heights, with_decks
 from jaxurban.cities.kinds import (
     ABOVE_LEVELS_M,
-    BRIDGE,
-    CROWN_SHARE,
-    FENCE,
-    GUYS_SHARE,
-    HISTORIC,
-    HULL,
     LEVEL_LIMIT_M,
     LIMIT_M,
     LOW_BUILDINGS,
     LOW_LIMIT_M,
-    MONUMENT,
-    RIDE,
-    RIDE_SHARE,
     ROUGH_LIMIT,
-    TURBINE,
-    UNLISTED,
-    WALLS,
-    WOOD,
 )
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.solids import prisms_of_solids
 from jaxurban.cities.stands import is_water, what_stands
-from jaxurban.cities.wires import in_spans, with_supports
+from jaxurban.cities.structures import limits_by_name_m, to_structures
 from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.learned import (
-    CLASSES_M2,
     IN_NONE,
     PARTS,
     Learned,
@@ -49,9 +34,8 @@ from jaxurban.io.learned import (
 )
 from jaxurban.settings import SLABS
 from jaxurban.world.extent import polygonal
-from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
+from jaxurban.world.footprints import BUILDING, Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, transformer
-from jaxurban.world.kinds import PLANTS, WIRES
 
 # An outline covered at least so far by its parts is dropped (design, section 3).
 REPLACED_SHARE = 0.9
@@ -59,12 +43,36 @@ BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it li
 PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
 STRIP_M = 2.0  # narrower is what parts that are drawn roughly leave of their outline
 SAME_HEIGHT_M = 0.5  # an outline and its highest part
-MOST_RADIUS_M = 100.0  # of what is a point: more is a slip of the unit
-OCTAGON = 1 / math.cos(math.pi / 8)  # its circle outside to that inside: crowns are octagons
 RESHAPED = ("polygons", "height_m", "origin", "limit_m")
-GUYS = "guys of a mast"  # the rule of what is around it
-# Kinds whose names say how high they are; others are learned of no heights.
-LEARNED_KINDS = ("chimney", "tank", "tower", "mast", "pole", "pylon", "crane", "turbine", *PLANTS)
+
+
+class Projected(NamedTuple):
+    """Shapes in another CRS.
+
+    Attributes:
+      shapes: ``[N]`` of any kind.
+      is_sound: ``[N]`` bool, which could be made.
+      is_whole: ``[N]`` bool, but for those that lack a vertex, and areas that have become a line or a point.
+      issues: how many were repaired, are missing or empty, or lie where the CRS does not reach.
+    """
+
+    shapes: np.ndarray
+    is_sound: np.ndarray
+    is_whole: np.ndarray
+    issues: ReadIssues
+
+
+class Parts(NamedTuple):
+    """Which parts of buildings are whose, and how much of these they cover.
+
+    Attributes:
+      outline, part: ``[P]`` indices of outlines and of a part of each: at least `BELONGING_SHARE` of it lies inside.
+      share: ``[N]`` of each polygon that its own parts cover, in [0, 1], 0 without a part.
+    """
+
+    outline: np.ndarray
+    part: np.ndarray
+    share: np.ndarray
 
 
 class WhatStands(NamedTuple):
@@ -106,274 +114,106 @@ def to_buildings(
     Raises:
       InputError: no building and no declared box, in a file that was read as a whole.
     """
-    issues = dict(outlines.issues)
     to_city = transformer(outlines.crs, crs)
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
-    features, is_building = _in_city(outlines, crs, file.hanging == SLABS, issues)
+    features, is_building, met = _in_city(outlines, crs, file.hanging == SLABS)
     if not (boxes_m or len(features.polygons) or outlines.is_part):
         raise InputError(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
-    buildings, of_buildings = _buildings(features.take(is_building), file, learns, issues)
-
-    # What else stands.
+    buildings, of_buildings, of_heights = _buildings(features.take(is_building), file, learns)
     waters = shapely.force_2d(outlines.polygons[is_water(outlines)])
     waters = shapely.transform(shapely.make_valid(waters), to_city.transform, interleaved=False)
-    others = in_spans(features.take(~is_building))
-    structures, of_kinds = _structures(others, file, waters, learns)
-    structures, is_same = _on_roofs(structures, others, buildings)
-    structures = with_supports(structures, others.polygons)
-    is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
-    issues[ReadIssue.NOT_STANDING] += int(np.sum(is_left_out))
-    guys = _guys(structures, others)
-    structures = structures.take(~is_left_out & ~is_same).joined(guys)
-    is_unknown = structures.kinds == UNKNOWN
-    issues[ReadIssue.UNKNOWN_EXTENT] = int(np.sum(is_unknown))
-    issues[ReadIssue.UNKNOWN_HEIGHT] = int(np.sum(structures.is_guessed & ~is_unknown))
-    learned = of_buildings | of_kinds
-    return WhatStands(buildings, _within(structures, file, buildings), boxes_m, issues, learned)
+    others = features.take(~is_building)
+    structures, of_kinds, of_others = to_structures(file, others, buildings, waters, learns)
+    structures = _within(structures, file, buildings)
+    issues = Counter(outlines.issues)
+    for each in (met, of_heights, of_others):
+        issues.update(each)
+    return WhatStands(buildings, structures, boxes_m, dict(issues), of_buildings | of_kinds)
 
 
 def _in_city(
-    outlines: Outlines, crs: str, has_slabs: bool, issues: ReadIssues
-) -> tuple[Outlines, np.ndarray]:
-    """Return what stands in the city's CRS, each with the height of its solid, and which are buildings, ``[N]`` bool.
+    outlines: Outlines, crs: str, has_slabs: bool
+) -> tuple[Outlines, np.ndarray, ReadIssues]:
+    """Return what stands in the city's CRS, which are buildings, ``[N]`` bool, and what was left out or repaired.
+
+    Of solids the height counts in place of what the file says of it. Walls alone, whose height is 0, close nothing.
 
     Args:
       outlines: from a reader.
       crs: projected CRS of the result.
       has_slabs: whether areas of bridges are decks.
-      issues: gets what is left out, repaired or a solid.
     """
     features, left_out = what_stands(outlines, has_slabs)
-    issues |= left_out
     prisms = prisms_of_solids(features)
-    shapes, is_sound, is_whole = _project(prisms["polygon"].to_numpy(), outlines.crs, crs, issues)
-    prisms = prisms[is_sound]
+    projected = _project(prisms["polygon"].to_numpy(), outlines.crs, crs)
+    prisms = prisms[projected.is_sound]
     features = features.take(prisms["feature"].to_numpy(int))
-    # Of solids the height counts in place of what the file says of it. Walls alone, whose height is 0, close nothing.
     height_m = prisms["height_m"].to_numpy(float)
     height = np.where(np.isnan(height_m), features.column("height"), height_m)
     tags = {**features.tags, "height": height, "rise_m": prisms["rise_m"].to_numpy(float)}
-    is_building = (tags["verdict"] == BUILDING) & is_whole[is_sound] & (height_m != 0)
-    issues[ReadIssue.SOLIDS] = prisms["feature"][is_building & (height_m > 0)].nunique()
-    return replace(features, polygons=shapes[is_sound], tags=tags), is_building
+    is_whole = projected.is_whole[projected.is_sound]
+    is_building = (tags["verdict"] == BUILDING) & is_whole & (height_m != 0)
+    num_solids = prisms["feature"][is_building & (height_m > 0)].nunique()
+    features = replace(features, polygons=projected.shapes[projected.is_sound], tags=tags)
+    return features, is_building, {**left_out, **projected.issues, ReadIssue.SOLIDS: num_solids}
 
 
 def _buildings(
-    found: Outlines, file: settings.Buildings, learns: bool, issues: ReadIssues
-) -> tuple[Footprints, dict[str, Learned]]:
-    """Return buildings with their heights, as `to_buildings` says, and what is learned of these by class.
+    found: Outlines, file: settings.Buildings, learns: bool
+) -> tuple[Footprints, dict[str, Learned], ReadIssues]:
+    """Return buildings with their heights, as `to_buildings` says, what is learned by class, and what was met.
 
     Args:
       found: outlines and parts, in a projected CRS.
       file, learns: as of `to_buildings`.
-      issues: gets what became of parts and heights.
     """
-    polygons = found.polygons
-    is_part = found.tags["is_part"]
-    is_deck = found.tags["is_deck"]
-    buildings = estimate_heights(found.tags, polygons, is_part, file, issues)
+    is_part, is_deck = found.tags["is_part"], found.tags["is_deck"]
+    buildings, issues = estimate_heights(found.tags, found.polygons, is_part, file)
     if is_deck.any():
         layer = pd.to_numeric(pd.Series(found.texts("layer")), errors="coerce")
         buildings = with_decks(buildings, is_deck, layer.to_numpy(float))
-
-    # Outlines and their parts: heights of one for the other, and which outlines the parts replace.
-    outline, part, share = _own_parts(polygons, ~is_part & ~is_deck, is_part)
-    classes = _classes(polygons, is_part, is_deck)
-    learned, highest_m = _learned(buildings, found, outline, part, classes, learns)
+    parts = _own_parts(found.polygons, ~is_part & ~is_deck, is_part)
+    classes = _classes(found.polygons, is_part, is_deck)
+    learned, highest_m = _learned(buildings, found, parts, classes, learns)
     if file.default_height_m is None:
-        guess_m = of_classes(learned, classes, "guess_m")
-        is_low = found.says("building", LOW_BUILDINGS.split()) & (guess_m > LOW_LIMIT_M)
-        guess_m[is_low] = LOW_LIMIT_M
-        height_m = np.where(buildings.height_m == 0, guess_m, buildings.height_m)
-        buildings = replace(buildings, height_m=height_m)
-    buildings = _with_outline_heights(buildings, outline, part, issues)
-    is_replaced = share >= REPLACED_SHARE
-    issues[ReadIssue.OUTLINES_REPLACED_BY_PARTS] = int(np.sum(is_replaced))
+        buildings = _with_guesses(buildings, found, of_classes(learned, classes, "guess_m"))
+    buildings, of_parts = _with_outline_heights(buildings, parts)
+    is_replaced = parts.share >= REPLACED_SHARE
+    issues |= of_parts | {ReadIssue.OUTLINES_REPLACED_BY_PARTS: int(np.sum(is_replaced))}
     if file.hanging == SLABS:
-        buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
+        buildings, is_podium = _podiums(buildings, parts, is_replaced)
         issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
         is_replaced &= ~is_podium
 
-    # Their bounds.
-    above_m = of_classes(learned, classes, "likely_m")
-    limit_m = _limits_m(buildings, found, file, highest_m, above_m)
-    likely_m = above_m + buildings.min_height_m
-    is_of_class = np.isin(buildings.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE))
-    likely_m = np.where(is_of_class, likely_m + found.tags["rise_m"], np.inf)
-    buildings = replace(buildings, limit_m=limit_m, likely_m=likely_m, rule=found.tags["rule"])
-    is_bare = is_replaced & ((1 - share) * shapely.area(polygons) > STRIP_M)
-    buildings, is_replaced = _beside_parts(buildings, outline, part, is_replaced, is_bare)
+    likely_m = of_classes(learned, classes, "likely_m")
+    buildings = replace(
+        buildings,
+        limit_m=_limits_m(buildings, found, file, highest_m, likely_m),
+        likely_m=_likelies_m(buildings, found, likely_m),
+        rule=found.tags["rule"],
+    )
+    is_bare = is_replaced & ((1 - parts.share) * shapely.area(found.polygons) > STRIP_M)
+    buildings, is_replaced = _beside_parts(buildings, parts, is_replaced, is_bare)
     buildings = _within(buildings.take(~is_replaced), file)
     issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
-    return buildings, learned
+    return buildings, learned, issues
 
 
-def _structures(
-    outlines: Outlines, rules: settings.Buildings, waters: np.ndarray, learns: bool
-) -> tuple[Footprints, dict[str, Learned]]:
-    """Return structures with their heights, and what is learned of these by kind.
-
-    Points are discs, lines are strips, and what is not whole is a hull.
-
-    Their height is 0 where it is unknown and their kind has none. Trees are as wide as their crowns, which have
-    `CROWN_SHARE` of their height where no width is known. Towers without an area are masts.
-
-    Args:
-      outlines: ``N`` from `what_stands`, in a projected CRS; a `BUILDING` is a polygon without area.
-      rules: height of one level.
-      waters: what bridges may cross.
-      learns: as of `to_buildings`.
-    """
-    verdicts = outlines.tags["verdict"]
-    kinds = np.array([HULL if kind == BUILDING else kind for kind in verdicts], object)
-
-    def lengths_m(name: str) -> np.ndarray:
-        """Return ``[N]`` the lengths that a tag says, NaN where it says none."""
-        return read_column(outlines.column(name), parse_length_m)
-
-    is_bridge = kinds == BRIDGE
-    bridges = bridges_of(outlines.take(is_bridge), waters)
-
-    def of_kinds(field: str) -> np.ndarray:
-        """Return ``[N]`` a number of each kind."""
-        values = np.array([getattr(kind, field) for kind in kinds], float)
-        values[is_bridge] = getattr(bridges, field)
-        return values
-
-    # Heights. The blades of a turbine reach above its hub.
-    whole = estimate_heights(
-        outlines.tags, outlines.polygons, np.zeros(len(kinds), bool), rules, {}
-    )
-    rotor_m = lengths_m("rotor")
-    tip_m = lengths_m("hub") + np.nan_to_num(rotor_m) / 2
-    has_tip = np.isfinite(tip_m) & (kinds == TURBINE)
-    origin = np.where(has_tip, HeightOrigin.HEIGHT, whole.origin)
-    is_lost = origin == HeightOrigin.UNREADABLE
-    has_height = (origin != HeightOrigin.DEFAULT) & ~is_lost
-    height_m = np.where(has_height, np.fmax(whole.height_m, tip_m), of_kinds("height_m"))
-    is_hull = kinds == HULL
-    names = np.array([kind.name for kind in kinds], object)
-
-    # What is learned of kinds that a name alone tells apart.
-    is_known = (origin == HeightOrigin.HEIGHT) & ~(is_bridge | is_hull)
-    row = np.where(outlines.tags["label"] == "", kinds, outlines.tags["label"])
-    highest_m = pd.Series(height_m * is_known).groupby(row, sort=False).transform("max")
-    is_given = is_known & np.isin(names, LEARNED_KINDS) & learns
-    given_m = np.where(is_given, height_m, 0.0)
-    learned = learned_from(names, given_m, given_m)
-    guess_m = of_classes(learned, names, "guess_m")
-    guess_m[has_height] = np.nan
-    height_m = np.where(np.isnan(guess_m), height_m, guess_m)
-    likely_m = np.where(has_height, np.nan, of_classes(learned, names, "likely_m"))
-    names[has_height & (names == UNKNOWN)] = "structure"
-    origin[has_height & is_bridge] = HeightOrigin.ROUGH  # of the deck alone
-    origin[names == UNKNOWN] = HeightOrigin.UNKNOWN
-    is_large = shapely.area(shapely.convex_hull(outlines.polygons)) >= CLASSES_M2[1]
-    of_hulls_m = _limits_by_name_m(outlines, np.where(is_large, np.inf, LIMIT_M))
-    of_hulls_m += outlines.tags["rise_m"]
-    limit_m = np.where(is_hull, of_hulls_m, of_kinds("limit_m"))
-    limit_m[is_lost | (limit_m < np.fmax(guess_m, likely_m))] = np.inf
-    limit_m = np.fmax(limit_m, highest_m)
-
-    # Shapes.
-    is_border = (kinds == WOOD) | (is_bridge & (outlines.texts("man_made") == DECK))
-    is_border &= shapely.get_dimensions(outlines.polygons) == 1
-    is_hulled = is_hull | is_border
-    shapes = outlines.polygons.copy()
-    shapes[is_hulled] = shapely.convex_hull(shapes[is_hulled])
-    is_fence = np.array([kind in (FENCE, *WALLS) for kind in kinds], bool)
-    is_fence &= shapely.get_dimensions(shapes) == 2
-    shapes[is_fence] = shapely.boundary(shapes[is_fence])
-    is_areal = shapely.get_dimensions(shapes) == 2
-    is_tree = names == "tree"
-    width_m = np.where(is_tree, lengths_m("crown"), np.fmax(lengths_m("diameter"), rotor_m))
-    width_m[outlines.texts("man_made") == "pipeline"] = np.nan  # theirs are in millimetres
-    by_kind_m = np.where(is_tree, CROWN_SHARE * height_m, of_kinds("radius_m"))
-    is_wheel = (kinds == RIDE) & (shapely.get_dimensions(shapes) == 0)
-    by_kind_m = np.where(is_wheel, np.maximum(RIDE_SHARE * height_m, by_kind_m), by_kind_m)
-    radius_m = np.where(width_m > 0, np.minimum(width_m / 2, MOST_RADIUS_M), by_kind_m)
-    # What no table knows of barriers encloses its area or fills it, and its border is as thick as a line.
-    is_ring = (kinds == UNLISTED) & (outlines.texts("barrier") != "")
-    is_wide = is_areal & ~(is_hull | is_ring)
-    polygons = shapes.copy()
-    for is_of, num_sides, share in ((is_tree, 8, OCTAGON), (~is_tree, 32, 1.0)):
-        thin = np.flatnonzero(is_of & ~is_wide)
-        polygons[thin] = shapely.buffer(
-            shapes[thin], share * radius_m[thin], quad_segs=num_sides // 4
-        )
-    names[(names == "tower") & ~is_areal] = "mast"
-    is_grounded = np.isin(names, (*PLANTS, *WIRES))
-    structures = replace(
-        whole,
-        polygons=polygons,
-        height_m=height_m,
-        min_height_m=np.where(is_grounded, 0.0, whole.min_height_m),
-        origin=origin.astype(np.uint8),
-        kind=names,
-        limit_m=limit_m,
-        label=outlines.tags["label"],
-        likely_m=np.nan_to_num(likely_m, nan=np.inf),
-        rule=outlines.tags["rule"],
-    )
-    return structures, learned
+def _with_guesses(buildings: Footprints, found: Outlines, guess_m: np.ndarray) -> Footprints:
+    """Return buildings that have the guesses of their classes, ``[N]``, where the file says no height."""
+    is_low = found.says("building", LOW_BUILDINGS.split()) & (guess_m > LOW_LIMIT_M)
+    guess_m = np.where(is_low, LOW_LIMIT_M, guess_m)
+    height_m = np.where(buildings.height_m == 0, guess_m, buildings.height_m)
+    return replace(buildings, height_m=height_m)
 
 
-def _guys(structures: Footprints, outlines: Outlines) -> Footprints:
-    """Return the unknown around masts that guys hold, as far as `GUYS_SHARE` of their heights.
-
-    Args:
-      structures: ``N`` of them.
-      outlines: ``N`` that they were made of.
-    """
-    is_guyed = np.array(["guy" in text for text in outlines.texts("construction")], bool)
-    masts = structures.take(is_guyed)
-    return replace(
-        masts,
-        polygons=shapely.buffer(shapely.centroid(masts.polygons), GUYS_SHARE * masts.height_m),
-        height_m=np.zeros(len(masts)),
-        origin=np.full(len(masts), HeightOrigin.UNKNOWN, np.uint8),
-        kind=np.full(len(masts), UNKNOWN, object),
-        limit_m=masts.upper_m,
-        label=np.full(len(masts), "guys", object),
-        rule=np.full(len(masts), GUYS, object),
-        likely_m=masts.likely_upper_m,
-    )
-
-
-def _on_roofs(
-    structures: Footprints, outlines: Outlines, buildings: Footprints
-) -> tuple[Footprints, np.ndarray]:
-    """Return structures of which points within buildings may stand on roofs, and which merely name these.
-
-    Whether a height counts from the roof or from the ground is not known unless there is an underside: the higher is a
-    bound; a tree stands in a yard. A point of a building, or of what is historic, names its building, ``[N]`` bool.
-
-    Args:
-      structures: ``N`` of them.
-      outlines: ``N`` that they were made of, before they had an extent.
-      buildings: with their bounds.
-    """
-    shapes = outlines.polygons
-    roof_m = np.zeros(len(shapes))
-    point, building = shapely.STRtree(buildings.polygons).query(shapes, predicate="within")
-    np.maximum.at(roof_m, point, buildings.upper_m[building])
-    is_on = (roof_m > 0) & (shapely.get_dimensions(shapes) == 0) & (structures.min_height_m == 0)
-    is_on &= ~np.isin(structures.kinds, PLANTS)
-    limit_m = structures.upper_m + np.where(is_on, roof_m, 0.0)
-    origin = structures.origin.copy()
-    origin[is_on & ~structures.is_guessed] = HeightOrigin.ROUGH
-    likely_m = np.where(is_on, np.inf, structures.likelies_m)
-    on_roofs = replace(structures, limit_m=limit_m, origin=origin, likely_m=likely_m)
-    verdicts = outlines.tags["verdict"]
-    names_it = np.array([each in (HULL, HISTORIC, MONUMENT) for each in verdicts], bool)
-    return on_roofs, is_on & names_it & (structures.kinds == UNKNOWN)
-
-
-def _limits_by_name_m(outlines: Outlines, others_m: float | np.ndarray) -> np.ndarray:
-    """Return ``[N]`` the bound of buildings of unknown height by what their tag calls them, and of others."""
-    return np.where(outlines.says("building", LOW_BUILDINGS.split()), LOW_LIMIT_M, others_m)
+def _likelies_m(buildings: Footprints, found: Outlines, likely_m: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` what is likely: of a class, ``likely_m``, over the underside and what the outline rises."""
+    is_of_class = np.isin(buildings.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE))
+    over_m = likely_m + buildings.min_height_m + found.tags["rise_m"]
+    return np.where(is_of_class, over_m, np.inf)
 
 
 def _classes(polygons: np.ndarray, is_part: np.ndarray, is_deck: np.ndarray) -> np.ndarray:
@@ -400,8 +240,7 @@ def _classes(polygons: np.ndarray, is_part: np.ndarray, is_deck: np.ndarray) -> 
 def _learned(
     buildings: Footprints,
     found: Outlines,
-    outline: np.ndarray,
-    part: np.ndarray,
+    parts: Parts,
     classes: np.ndarray,
     learns: bool,
 ) -> tuple[dict[str, Learned], np.ndarray]:
@@ -413,7 +252,7 @@ def _learned(
     Args:
       buildings: ``N`` outlines and parts, as the file has them.
       found: what their tags call them.
-      outline, part: ``[P]`` indices of outlines and their own parts.
+      parts: of the outlines.
       classes: ``[N]`` objects.
       learns: as of `to_buildings`.
     """
@@ -421,7 +260,7 @@ def _learned(
     for origins in (HeightOrigin.HEIGHT,), (HeightOrigin.HEIGHT, HeightOrigin.LEVELS):
         is_known = np.isin(buildings.origin, origins) & ~found.tags["is_deck"]
         height_m = np.where(is_known, buildings.height_m, 0.0)
-        np.maximum.at(height_m, outline, height_m[part])
+        np.maximum.at(height_m, parts.outline, height_m[parts.part])
         known_m.append(height_m)
     groups = pd.Series(classes).str.removeprefix(PARTS)
     groups[found.says("building", LOW_BUILDINGS.split())] = "low"
@@ -474,7 +313,7 @@ def _limits_m(
         others have no bound where higher ones are known or likely, as nothing says how high a tower is.
     """
     num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
-    by_name_m = np.maximum(_limits_by_name_m(found, LIMIT_M), found.tags["kind_limit_m"])
+    by_name_m = np.maximum(limits_by_name_m(found, LIMIT_M), found.tags["kind_limit_m"])
     is_higher = np.fmax(highest_m, likely_m) > by_name_m
     others_m = np.where(is_higher, np.inf, by_name_m)
     by_name_m = np.where(by_name_m < LIMIT_M, np.maximum(by_name_m, highest_m), others_m)
@@ -490,11 +329,7 @@ def _limits_m(
 
 
 def _beside_parts(
-    buildings: Footprints,
-    outline: np.ndarray,
-    part: np.ndarray,
-    is_replaced: np.ndarray,
-    is_bare: np.ndarray,
+    buildings: Footprints, parts: Parts, is_replaced: np.ndarray, is_bare: np.ndarray
 ) -> tuple[Footprints, np.ndarray]:
     """Return buildings in which outlines cover what their parts leave, and which still give way to them, ``[N]`` bool.
 
@@ -504,10 +339,11 @@ def _beside_parts(
 
     Args:
       buildings: ``N`` outlines and parts.
-      outline, part: ``[P]`` indices of outlines and their own parts.
+      parts: of the outlines.
       is_replaced: ``[N]`` bool, which outlines give way to their parts.
       is_bare: ``[N]`` bool, which of these their parts do not cover as a whole.
     """
+    outline, part, _ = parts
     columns: Any = {name: getattr(buildings, name).copy() for name in RESHAPED}
     is_known = buildings.origin == HeightOrigin.HEIGHT
     is_own = is_known[outline] & is_known[part] & ~is_replaced[outline]
@@ -536,19 +372,15 @@ def _beside_parts(
     return replace(buildings, **columns), is_replaced
 
 
-def _project(
-    shapes: np.ndarray, source: str, crs: str, issues: ReadIssues
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return shapes in another CRS, valid and without heights, which of them could be made, and which are whole.
+def _project(shapes: np.ndarray, source: str, crs: str) -> Projected:
+    """Return shapes in another CRS, valid and without heights.
 
     Polygons alone in a MultiPolygon, as those of OpenStreetMap are made, come without it: maps burn them more quickly.
-    A shape is not whole if it lacks a vertex, or if an area has become a line or a point. The latter are ``[N]`` bool.
 
     Args:
       shapes: ``[N]`` of any kind, None where there is none.
       source: their CRS.
       crs: projected CRS of the result.
-      issues: gets how many were repaired, are missing or empty, or lie where ``crs`` does not reach.
     """
     to_city = transformer(source, crs).transform
     if shapely.has_z(shapes).any():
@@ -576,26 +408,20 @@ def _project(
     is_alone &= shapely.get_num_geometries(shapes) == 1
     shapes[is_alone] = shapely.get_geometry(shapes[is_alone], 0)
 
-    issues[ReadIssue.OUTSIDE_CRS] = int(np.sum(is_there & ~is_sound))
-    num_repaired = int(np.sum(~is_flat))
-    issues[ReadIssue.POLYGONS_REPAIRED] = issues.get(ReadIssue.POLYGONS_REPAIRED, 0) + num_repaired
-    issues[ReadIssue.POLYGONS_DROPPED] = int(np.sum(~is_there))
-    return shapes, is_sound, is_whole
+    issues = {
+        ReadIssue.OUTSIDE_CRS: int(np.sum(is_there & ~is_sound)),
+        ReadIssue.POLYGONS_REPAIRED: int(np.sum(~is_flat)),
+        ReadIssue.POLYGONS_DROPPED: int(np.sum(~is_there)),
+    }
+    return Projected(shapes, is_sound, is_whole, issues)
 
 
-def _own_parts(
-    polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return every pair of an outline and a part of its own, and how much of each polygon its own parts cover.
-
-    `BELONGING_SHARE` of a part at least lies inside an outline that owns it.
+def _own_parts(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray) -> Parts:
+    """Return which parts are whose.
 
     Args:
       polygons: ``[N]`` valid polygons.
       is_outline, is_part: ``[N]`` bool, which of them are outlines, and which are parts.
-
-    Returns:
-      ``[P]`` indices of the outlines and of the parts, and ``[N]`` shares in [0, 1], 0 without a part.
     """
     outlines = np.flatnonzero(is_outline)
     parts = np.flatnonzero(is_part)
@@ -609,15 +435,13 @@ def _own_parts(
     outline, part, shared = outline[is_own], part[is_own], shared[is_own]
 
     share = np.zeros(len(polygons))
-    order = np.argsort(outline, kind="stable")  # the pairs of each outline one after the other
-    owners, starts = np.unique(outline[order], return_index=True)
-    for owner, own in zip(owners, np.split(shared[order], starts[1:]), strict=False):
-        share[owner] = shapely.area(shapely.union_all(own)) / shapely.area(polygons[owner])
-    return outline, part, share
+    shared_m2 = pd.Series(shared).groupby(outline).agg(lambda own: shapely.union_all(own).area)
+    share[shared_m2.index] = shared_m2 / shapely.area(polygons[shared_m2.index])
+    return Parts(outline, part, share)
 
 
 def _podiums(
-    buildings: Footprints, outline: np.ndarray, part: np.ndarray, is_replaced: np.ndarray
+    buildings: Footprints, parts: Parts, is_replaced: np.ndarray
 ) -> tuple[Footprints, np.ndarray]:
     """Return buildings in which replaced outlines are podiums where they have one, and which these are, ``[N]`` bool.
 
@@ -625,9 +449,10 @@ def _podiums(
 
     Args:
       buildings: ``N`` outlines and parts.
-      outline, part: ``[P]`` indices of outlines and their own parts.
+      parts: of the outlines.
       is_replaced: ``[N]`` bool, which outlines give way to their parts.
     """
+    outline, part, _ = parts
     polygons = buildings.polygons.copy()
     height_m = buildings.height_m.copy()
     origin = buildings.origin.copy()
@@ -651,19 +476,20 @@ def _podiums(
     return replace(buildings, polygons=polygons, height_m=height_m, origin=origin), is_podium
 
 
-def _with_outline_heights(
-    buildings: Footprints, outline: np.ndarray, part: np.ndarray, issues: ReadIssues
-) -> Footprints:
-    """Return buildings in which parts without a height have that of their highest outline whose height is known.
+def _with_outline_heights(buildings: Footprints, parts: Parts) -> tuple[Footprints, ReadIssues]:
+    """Return buildings in which parts without a height have that of their highest outline of known height, and issues.
 
     Every roof is above its underside then. A roof at or below it is raised by the underside's height if it is an
     estimate, by levels or by default; if its height is known, the underside is set to 0.
 
     Args:
       buildings: ``N`` outlines and parts.
-      outline, part: ``[P]`` indices of outlines and their own parts.
-      issues: gets how many parts were given a height, and how many undersides were set to 0.
+      parts: of the outlines.
+
+    Returns:
+      ``N`` buildings, and how many parts were given a height and how many undersides were set to 0.
     """
+    outline, part, _ = parts
     height_m = buildings.height_m.copy()
     origin = buildings.origin.copy()
     is_default = origin == HeightOrigin.DEFAULT
@@ -676,16 +502,18 @@ def _with_outline_heights(
     lowest_first = np.argsort(height_m[outline], kind="stable")
     height_m[part[lowest_first]] = height_m[outline[lowest_first]]
     origin[part[lowest_first]] = origin[outline[lowest_first]]
-    issues[ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT] = len(np.unique(part))
-
     # Undersides.
     min_height_m = buildings.min_height_m
     is_wrong = min_height_m >= height_m
     is_known = origin == HeightOrigin.HEIGHT
-    issues[ReadIssue.MIN_HEIGHTS_ABOVE_ROOF] = int(np.sum(is_wrong & is_known))
-    return replace(
+    issues = {
+        ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT: len(np.unique(part)),
+        ReadIssue.MIN_HEIGHTS_ABOVE_ROOF: int(np.sum(is_wrong & is_known)),
+    }
+    buildings = replace(
         buildings,
         height_m=np.where(is_wrong & ~is_known, height_m + min_height_m, height_m),
         min_height_m=np.where(is_wrong & is_known, 0.0, min_height_m),
         origin=origin,
     )
+    return buildings, issues

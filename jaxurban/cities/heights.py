@@ -148,9 +148,8 @@ def estimate_heights(
     polygons: np.ndarray,
     is_part: np.ndarray,
     rules: settings.Buildings,
-    issues: ReadIssues,
-) -> Footprints:
-    """Return every outline with its height: that of its tag, else that of its levels, else the default, 0 without one.
+) -> tuple[Footprints, ReadIssues]:
+    """Return every outline with its height, by its tag, else its levels, else the default, 0 without one; and issues.
 
     A value that cannot be read, or a height that is zero, negative or above `MAX_HEIGHT_M`, falls to the next
     origin and is counted; an unusable ``min_height`` falls to ``min_level``, then to 0. A height that leaves its levels
@@ -162,7 +161,9 @@ def estimate_heights(
         an empty column.
       polygons, is_part: ``[N]`` as of `Footprints`.
       rules: height of one level, and where nothing usable is given.
-      issues: gets how many values could not be used, by kind.
+
+    Returns:
+      ``N`` outlines, and how many values could not be used, by kind.
     """
     empty = np.full(len(polygons), None, object)
 
@@ -195,10 +196,12 @@ def estimate_heights(
     # What holds something that is not usable.
     num_levels = np.sum(given_levels & ~has_levels) + np.sum(given_roof & ~has_roof)
     num_min = np.sum(given_min & ~has_min) + np.sum(given_min_level & ~has_min_level)
-    issues[ReadIssue.HEIGHTS_UNUSABLE] = int(np.sum(given_height & ~has_height))
-    issues[ReadIssue.HEIGHTS_BELOW_LEVELS] = int(np.sum(is_too_low))
-    issues[ReadIssue.LEVELS_UNUSABLE] = int(num_levels)
-    issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = int(num_min)
+    issues = {
+        ReadIssue.HEIGHTS_UNUSABLE: int(np.sum(given_height & ~has_height)),
+        ReadIssue.HEIGHTS_BELOW_LEVELS: int(np.sum(is_too_low)),
+        ReadIssue.LEVELS_UNUSABLE: int(num_levels),
+        ReadIssue.MIN_HEIGHTS_UNUSABLE: int(num_min),
+    }
 
     has_height &= ~is_too_low
     has_rough = np.zeros(len(polygons), bool)
@@ -212,13 +215,14 @@ def estimate_heights(
         HeightOrigin.LEVELS: has_levels,
     }
     origin = np.select(list(origins.values()), list(origins), HeightOrigin.DEFAULT)
-    return Footprints(
+    heights = Footprints(
         polygons,
         np.select([has_height, has_levels], [height_m, levels_m], rules.default_height_m or 0.0),
         np.select([has_min, has_min_level], [min_height_m, min_level_m], 0.0),
         origin.astype(np.uint8),
         is_part,
     )
+    return heights, issues
 
 
 def with_decks(buildings: Footprints, is_deck: np.ndarray, layer: np.ndarray) -> Footprints:

@@ -38,7 +38,7 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     is_named = is_area  # as a building or as none; in a file that never says it every area is one
     if "building" in outlines.tags:
         is_named = outlines.texts("building") != ""
-    height_m, is_worded = _heights(outlines, ~is_named)
+    height_m, is_worded = _heights_beside(outlines, ~is_named)
     is_low = (height_m < LOW_M) | _has(outlines, "indoor")
     is_traffic = is_raised(outlines)
     signs = {
@@ -108,7 +108,7 @@ def _is_gone(outlines: Outlines, reason: ReadIssue) -> np.ndarray:
     return _has(outlines, reason) | outlines.says("building", values)
 
 
-def _heights(outlines: Outlines, is_asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _heights_beside(outlines: Outlines, is_asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the heights of features in metres, and whether they are words, ``[N]`` each.
 
     NaN without one and of words, 0 of what is not above the ground, inf of what seems to be and cannot be read.
