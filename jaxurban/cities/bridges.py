@@ -34,15 +34,15 @@ LANES = {"motorway": 4, "trunk": 4, **dict.fromkeys(NARROW, 1)}  # where the num
 NUM_LANES = 2  # of all others
 
 
-class Sizes(NamedTuple):
-    """Sizes by kind, ``[N]`` each: the height (of a bridge its deck's), the bound, and half the width of a line."""
+class KindSizes(NamedTuple):
+    """KindSizes by kind, ``[N]`` each: the height (of a bridge its deck's), the bound, and half the width of a line."""
 
     height_m: np.ndarray
     limit_m: np.ndarray
     radius_m: np.ndarray
 
 
-def bridges_of(outlines: Outlines, waters: np.ndarray) -> Sizes:
+def bridges_of(outlines: Outlines, waters: np.ndarray) -> KindSizes:
     """Return the sizes of bridges.
 
     Args:
@@ -64,7 +64,7 @@ def bridges_of(outlines: Outlines, waters: np.ndarray) -> Sizes:
     lanes = read_column(outlines.column("lanes"), parse_count)
     by_kind = [LANES.get(text, NUM_LANES) for text in outlines.texts("highway")]
     lanes = np.where(lanes > 0, lanes, by_kind)
-    return Sizes(
+    return KindSizes(
         BRIDGE.height_m * layer,
         np.maximum(
             LAYER_LIMIT_M * layer + ABOVE_LAYERS_M,

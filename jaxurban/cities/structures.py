@@ -9,7 +9,7 @@ import pandas as pd
 import shapely
 
 from jaxurban import settings
-from jaxurban.cities.bridges import DECK, Sizes, bridges_of
+from jaxurban.cities.bridges import DECK, KindSizes, bridges_of
 from jaxurban.cities.heights import estimate_heights, parse_length_m, read_column
 from jaxurban.cities.kinds import (
     BRIDGE,
@@ -61,7 +61,7 @@ class _Others(NamedTuple):
     kinds: np.ndarray
     names: np.ndarray
     dimension: np.ndarray
-    sizes: Sizes
+    sizes: KindSizes
     stated: Footprints
     has_height: np.ndarray
     measured_m: np.ndarray
@@ -129,13 +129,13 @@ def _others_of(
     return _Others(outlines, kinds, names, dimension, sizes, *known), learned
 
 
-def _sizes(outlines: Outlines, kinds: np.ndarray, waters: np.ndarray) -> Sizes:
+def _sizes(outlines: Outlines, kinds: np.ndarray, waters: np.ndarray) -> KindSizes:
     """Return the sizes of structures by their kinds, of bridges each its own."""
     by_kind = [(kind.height_m, kind.limit_m, kind.radius_m) for kind in kinds]
-    sizes = np.reshape(by_kind, (-1, len(Sizes._fields))).T
+    sizes = np.reshape(by_kind, (-1, len(KindSizes._fields))).T
     is_bridge = kinds == BRIDGE
     sizes[:, is_bridge] = bridges_of(outlines.take(is_bridge), waters)
-    return Sizes(*sizes)
+    return KindSizes(*sizes)
 
 
 def _stated(outlines: Outlines, kinds: np.ndarray, file: settings.Buildings) -> Footprints:
