@@ -1,20 +1,13 @@
 """Kinds of what stands beside buildings, with their guesses, bounds and sizes; `rules.py` says what is of which.
 
-A bound holds for what has no height of its own: tanks by API 650, whose shells seldom exceed 64 ft; poles, canopies and
-gantries by what carries them over streets; nothing bounds masts, towers, chimneys, cranes and cable cars. Towers of
-power lines end below 100 m but for those that carry a wire across a river or a strait, in spans of more than
-`LONG_SPAN_M` (the Elbe: 227 m, 1,200 m). Half widths of wires are those of the widest arms (a Danube tower of 380 kV),
-choices as those of cableways are.
-
-Bounds of what is unknown are choices as well: walls 10 m (noise barriers seldom exceed 6 m), street lamps and what
-hangs over streets 15 m (lamps of high masts have the tag of a mast), overhead lines 30 m, monuments, towers and gates
-of old towns 60 m (few statues are higher), rides 200 m (one wheel, Ain Dubai, is higher), supports of bridges 350 m
-(Millau: 343 m), and 50 m for any other value. Bridges: `jaxurban.cities.bridges`.
+A bound holds for what has no height of its own; `Kind.source` says from what it follows. Nothing bounds masts, towers,
+chimneys, cranes and cable cars. A power line that crosses a river or a strait in a span of more than `LONG_SPAN_M`
+hangs from higher towers than others (the Elbe: 227 m, 1,200 m). Half widths of wires are those of the widest arms (a
+Danube tower of 380 kV), choices as those of cableways are. Bridges: `jaxurban.cities.bridges`.
 
 Of the 1,219 trees of Lower Manhattan, Boston and a cadastre of trees that have a height, 95 % end below 15 m and all
-below 35 m; of the 266 with a crown it is at most 0.8 times as wide as they are high in 95 %. The canopy of 5 % of all
-land is higher than 30 m (Lang et al. 2023, doi:10.1038/s41559-023-02206-6). Scrub, hedges and orchards stay below
-`LOW_M`.
+below 35 m; of the 266 with a crown it is at most 0.8 times as wide as they are high in 95 %. Scrub, hedges and orchards
+stay below `LOW_M`.
 """
 
 import math
@@ -34,12 +27,14 @@ class Kind:
       height_m: with which one of unknown height stands in the maps; 0: it stands only with a height of its own.
       limit_m: height above ground that all but a few of unknown height keep below, inf where nothing says.
       radius_m: of one that is a point or a line, without a width or a diameter.
+      source: of the limit.
     """
 
     name: str
     height_m: float
     limit_m: float = math.inf
     radius_m: float = 1.0
+    source: str = "chosen"
 
 
 @dataclass(frozen=True)
@@ -54,16 +49,23 @@ LOW_M = 6.0  # fences, doors, statues: what no table names stands from this heig
 FENCE = Kind("structure", 0.0)  # which encloses what it does not fill
 HULL = Kind(UNKNOWN, 0.0, radius_m=2.0)  # an outline that is not whole
 UNLISTED = Kind(UNKNOWN, 0.0, 50.0)
-WALLS = WALL, CITY_WALL = Kind(UNKNOWN, 0.0, 10.0), Kind(UNKNOWN, 0.0, 30.0, 2.0)
-HISTORIC, MONUMENT = Kind(UNKNOWN, 0.0, 50.0), Kind(UNKNOWN, 0.0, 60.0, 5.0)
-RIDE = Kind(UNKNOWN, 0.0, 200.0, 30.0)
+WALL = Kind(UNKNOWN, 0.0, 10.0, source="chosen; noise barriers seldom exceed 6 m")
+CITY_WALL = Kind(UNKNOWN, 0.0, 30.0, 2.0)
+WALLS = WALL, CITY_WALL
+HISTORIC = Kind(UNKNOWN, 0.0, 50.0)
+MONUMENT = Kind(UNKNOWN, 0.0, 60.0, 5.0, "chosen; few statues are higher")
+RIDE = Kind(UNKNOWN, 0.0, 200.0, 30.0, "chosen; one wheel, Ain Dubai (250 m), is higher")
 TURBINE = Kind("turbine", 100.0, radius_m=50.0)
-BRIDGE = Kind("bridge", 5.5, 100.0)  # for each layer
-WOOD = Kind("wood", 20.0, MOST_WOOD_M, 10.0)
+BRIDGE = Kind("bridge", 5.5, 100.0, source="chosen; see below")  # for each layer
+CANOPIES = (
+    "of all land 5 % has a canopy above 30 m (Lang et al. 2023, doi:10.1038/s41559-023-02206-6)"
+)
+WOOD = Kind("wood", 20.0, MOST_WOOD_M, 10.0, CANOPIES)
 CROWN_SHARE = 0.4  # of a tree's height: the radius of a crown of unknown width
 RIDE_SHARE = 0.5  # of a ride's height: half of it is a wheel's radius
 GUYS_SHARE = 0.8  # of a mast's height: how far from it its guys are anchored
 LONG_SPAN_M = 600.0
+IN_SPANS = f"chosen; none where a span exceeds {LONG_SPAN_M:g} m"
 # A building whose height nothing says. Of those of Lower Manhattan, Boston and Helsinki that have a height, houses and
 # their like end below 20 m, and all others but some 1 % below 100 m; of those with levels too 99 % end below 6 m for
 # each level and 10 m.

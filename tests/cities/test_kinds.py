@@ -2,73 +2,83 @@
 
 import math
 import re
+from dataclasses import replace
 
 import pandas as pd
 import pytest
 
 from benchmarks.common import ROOT
-from jaxurban.cities.kinds import Kind, Nothing
-from jaxurban.cities.rules import BY_VALUE, KINDS, LAMP, THINGS
+from jaxurban.cities.kinds import UNLISTED, Kind
+from jaxurban.cities.rules import BY_VALUE, KINDS, LAMP, RULES, THINGS, VALUES
 from tests.cities.generator.extracts import COUNTS
+from tests.renew_kinds import PAGE, renewed, table
 
-PAGE = ROOT / "docs/model/kinds.md"
 TABLE = {
     key: {value: THINGS[name] for value, name in rules.items()}
     for key, rules in (KINDS | BY_VALUE).items()
 }
-# `power`, `man_made`: pole, portal; points have other rows.
-OF_KEYS = re.compile(r"(?<!a point with )((?:`[\w:]+`(?:, )?)+): ([^`;]+)")
-OTHERS = re.compile(r"any other ((?:`[\w:]+`(?:, )?)+)")
-NUMBER = re.compile(r"[\d.]+")
 # Bridges and rides have a row for any value; what has a number for each layer is held by its own tests.
-SITE = (0.0, math.inf)  # guess and bound of what stands only with a height of its own
 ANY_VALUE = {"tower:type", "bridge", "bridge:support", "roller_coaster"}
 
 
-def rows_of_page() -> list[tuple[str, str, str, str, str]]:
-    """Return key, value, kind, guess and bound of each value in the table of the page; "*" is any other value."""
-    rows = []
-    lines = [line for line in PAGE.read_text().splitlines() if line.startswith("| ")]
-    for line in lines:
-        first, *cells = [cell.strip() for cell in line.strip("|").split("|")]
-        pairs = [(keys, values.split(", ")) for keys, values in OF_KEYS.findall(first)]
-        pairs += [(keys, ["*"]) for keys in OTHERS.findall(first)]
-        for keys, values in pairs:
-            for key in re.findall(r"`([\w:]+)`", keys):
-                rows += [(key, value.strip(), *cells[:3]) for value in values]
-    return [row for row in rows if row[0] in TABLE and row[1] in TABLE[row[0]]]
+def row_of(key: str, value: str, text: str) -> str:
+    """Return the row of a table in which a value stands behind its key, "*" for any other value."""
+    tag, of, shape = key.partition(" of ")
+    value = "any other value" if value == "*" else value
+    keys = re.escape(f"`{tag}`{of}{shape}")
+    behind = rf"{keys}(?:, `[^`]+`[^:;|`]*)*: (?:[^;|]*, )?{re.escape(value)}(?:[,;]| \|)"
+    (row,) = (line for line in text.splitlines() if re.search(behind, line))
+    return row
 
 
-def said(kind: Kind | Nothing) -> tuple[str, float, float]:
-    """Return what the page says of a kind: its name, guess and bound, NaN of nothing."""
-    if isinstance(kind, Kind):
-        return kind.name, kind.height_m, kind.limit_m
-    return "nothing", math.nan, math.nan
+def test_the_page_holds_the_tables_that_the_rules_give():
+    page = PAGE.read_text(encoding="utf-8")
+    assert page.count("<!-- from the rules: ") == 2
+    assert renewed(page) == page, "python -m tests.renew_kinds writes them"
 
 
-def test_the_page_has_every_kind_of_the_table_and_no_value_twice():
-    rows = [row[:2] for row in rows_of_page()]
-    assert len(rows) == len({*rows}) > 50
-    kinds = {said(kind) for key in TABLE.keys() - ANY_VALUE for kind in TABLE[key].values()}
-    wanted = {kind for kind in kinds if kind[0] not in ("nothing", "bridge") and kind[1:] != SITE}
-    assert wanted <= {said(TABLE[key][value]) for key, value in rows}
+def test_every_value_of_the_rules_stands_once_in_one_of_the_tables():
+    text = table("kinds") + "\n" + table("nothing")
+    pairs = [(key, value) for key, rules in VALUES.items() for value in rules]
+    assert len(pairs) > 250
+    for key, value in pairs:
+        row_of(key, value, text)
+    in_words = [name for name in RULES if ": " not in name]
+    assert all(re.search(rf"(?<=[|;] ){name}(?= \||;)", text) for name in in_words)
 
 
-@pytest.mark.parametrize(("key", "value", "kind", "guess", "bound"), rows_of_page())
-def test_the_page_agrees_with_the_table(key, value, kind, guess, bound):
-    name, height_m, limit_m = said(TABLE[key][value])
-    if name == "nothing":
-        assert kind.startswith("nothing")
-        assert not guess
-        assert not bound
-    elif name == "structure" and not height_m:
-        assert kind.startswith("nothing: the ground of a site")
-    else:
-        assert kind.startswith(name) or kind == "the same"
-        guesses = [float(number) for number in NUMBER.findall(guess)]
-        assert (guesses or [0.0])[0] == height_m
-        bounds = [float(number) for number in NUMBER.findall(bound.split(";")[0])]
-        assert (bounds or [math.inf])[0] == limit_m
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("natural", "tree", "| tree | 7 | 35 | 1,219 trees"),
+        ("man_made", "chimney", "| chimney | 30 | none |"),
+        ("power", "line", "| wire | 30 | 100 | chosen; none where a span exceeds 600 m |"),
+        ("attraction", "*", "| unknown |  | 200 |"),
+        ("location of points", "overhead", "| unknown |  | 15 |"),
+        ("location", "overhead", "| unknown |  | 30 |"),
+        ("power", "plant", "| structure | its own height;"),
+        ("barrier", "kerb", "| ends below 6 m |"),
+        ("man_made", "pier", "| is part of the ground,"),
+        ("power", "cable", "| lies below the ground |"),
+    ],
+)
+def test_a_row_says_what_a_value_is_taken_for(key, value, said):
+    assert said in row_of(key, value, table("kinds") + "\n" + table("nothing"))
+
+
+def test_a_rule_of_any_form_gets_its_row():
+    pavilion = Kind("structure", 6.0, 40.0, source="a survey of ten")
+    rules = {
+        **RULES,
+        "amenity: shelter bandstand": pavilion,
+        "leisure of areas: stadium": pavilion,
+        "hangar door": replace(UNLISTED, limit_m=math.inf),
+    }
+    text = table("kinds", rules)
+    cells = "| structure | 6 | 40 | a survey of ten |"
+    assert f"| `amenity`: shelter, bandstand; `leisure` of areas: stadium {cells}" in text
+    assert "; hangar door | unknown |  | none |" in text
+    assert table("nothing", rules) == table("nothing")
 
 
 def test_the_counts_of_extracts_have_the_bounds_of_the_table():
