@@ -230,6 +230,7 @@ USES: dict[str, Callable[..., Any]] = {
         bounds=given.get("bounds", BOX),
     ),
     "City.from_files": lambda **given: on.read(**given),
+    "City.why": lambda **given: few().why(**{"lon": BOX[0], "lat": BOX[1]} | given),
     "Constraints": on.with_limits,
     "Constraints.read": lambda **given: on.planned(constraints=ju.Constraints.read(**given)),
     "CostMap.plan": lambda **given: on.on().plan(
@@ -971,7 +972,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--json": JSON,
         },
     ),
-    "info": (("{home}/maps",), {"--json": JSON}),
+    "info": (("{home}/maps",), {"--at": "{start}", "--json": JSON}),
     "return": (
         ("{home}/maps", "--home={start}", "--resolution=20"),
         {

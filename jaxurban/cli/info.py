@@ -1,5 +1,6 @@
 """jaxurban info."""
 
+import json
 import warnings
 from collections import Counter
 from collections.abc import Iterable
@@ -14,10 +15,11 @@ from jaxurban.io.samples import located
 from jaxurban.io.sniff import LIDAR, sniff
 from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
 from jaxurban.knowledge import names_of
-from jaxurban.terminal.common import GIVEN, JSON_FLAG, Settings, print_json
+from jaxurban.terminal.common import GIVEN, JSON_FLAG, LONLAT, Point, Settings, print_json
 from jaxurban.terminal.options import command
 
 if TYPE_CHECKING:
+    from jaxurban.io.city import City
     from jaxurban.maps.metric_maps import MetricMaps
 
 MOST_BYTES = 2**30  # of any other file than of buildings or a raster: most are read whole
@@ -26,14 +28,25 @@ MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # 
 
 @command()
 @click.argument("path", metavar="FILE|DIR", type=GIVEN)
+@click.option("--at", "place", type=LONLAT, help="Say what stands at a place, and why.")
 @JSON_FLAG
-def info_command(path: Path, as_json: bool) -> None:
+def info_command(path: Path, place: Point | None, as_json: bool) -> None:
     """Say what a file or a folder of maps holds.
 
     FILE is of buildings, or a raster: printed are extent, CRS, counts and guessed heights. Of a mission, a receiver's
-    log, a track, orbits or a scenario it says in a line what it holds, and what reads it.
+    log, a track, orbits or a scenario it says in a line what it holds, and what reads it. With --at, longitude,latitude
+    in degrees, it says what stands there by a file of buildings, or by the files of maps: kind, rule, height and bound.
     """
-    if any((path / name).exists() for name in (ZARR_FOLDER, RUN_FILE)):
+    has_maps = any((path / name).exists() for name in (ZARR_FOLDER, RUN_FILE))
+    if place is not None:
+        things = _city_of(path, has_maps).why(*place)
+        if as_json:
+            rows = json.loads(things.to_json(orient="records"))  # null where nothing is known
+            print_json({"stands": things.columns.name, "numbers": rows})
+        else:
+            print(things.T.to_string(header=False))
+        return
+    if has_maps:
         facts, numbers = _facts_of_maps(path)
     else:
         file = located(path)
@@ -48,6 +61,25 @@ def info_command(path: Path, as_json: bool) -> None:
     width = max(map(len, facts))
     for name, value in facts.items():
         print(f"{name:{width}}  {value}")
+
+
+def _city_of(path: Path, has_maps: bool = False) -> "City":
+    """Return the city in a file of buildings or heights, or of maps in a folder, whose files are read again.
+
+    What is guessed is no warning here, as it is said of each thing.
+
+    Raises:
+      InputError: a city that cannot be read.
+    """
+    from jaxurban.io.city import City
+    from jaxurban.maps.run import load_city
+    from jaxurban.maps.sources import scenario_of
+    from jaxurban.settings import Buildings
+
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
+        if has_maps:
+            return load_city(scenario_of(path))
+        return City.from_files(Buildings(path, allow=("none",)))
 
 
 def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
@@ -114,9 +146,7 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     from jaxurban.cities.city import lonlat_extent
     from jaxurban.cities.lidar import read_points
     from jaxurban.cities.raster import RASTER_SUFFIXES, read_raster
-    from jaxurban.io.city import City
     from jaxurban.io.issues import listed_counts
-    from jaxurban.settings import Buildings
     from jaxurban.world.grid import WGS84
 
     facts: Settings = {"bounds": _rounded(lonlat_extent(file))}  # as [region] bounds takes them
@@ -144,9 +174,7 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
         heights = {"lowest_m": lowest_m, "highest_m": highest_m, "missing_share": missing_share}
         return facts, numbers | heights
 
-    # Buildings: guesses are among the facts, so that their warnings are not needed.
-    with warnings.catch_warnings(action="ignore", category=UserWarning):
-        city = City.from_files(Buildings(file, allow=("none",)))
+    city = _city_of(file)  # what is guessed is among the facts
     facts |= {name: value for name, value in city.facts.items() if value and name != "terrain"}
     if city.buildings is None:
         return facts, {}

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import shapely
 
 from jaxurban import settings, wings
@@ -15,12 +16,13 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts
 from jaxurban.io.learned import Learned
+from jaxurban.io.sampling import Resampling, raster_values
 from jaxurban.knowledge import Caution, Guesses, caution_of_guesses
 from jaxurban.public import FactsRepr
 from jaxurban.settings import TO_GROUND, Hanging
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import MAIN_SHARE, main_bounds
-from jaxurban.world.footprints import UNKNOWN, Footprints
+from jaxurban.world.footprints import UNKNOWN, Footprints, HeightOrigin
 from jaxurban.world.grid import WGS84, Bounds, box_of, transformer
 from jaxurban.world.kinds import ALL_KINDS, EFFECTS, PLANTS, KindName, Obstacles
 from jaxurban.world.raster import Raster
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
     from jaxurban.metrics.gps import Gps
     from jaxurban.metrics.population import Population
 
+NEAR_M = 1.0  # of a place: what is so near counts as there, as wires and walls are thin
+BEYOND_M = 1e9  # east and north of all cities: where a CRS has no coordinates
 WOOD = "wood"  # the kind of what a raster of vegetation holds
 MOST_IN = f"{100 * MAIN_SHARE:.0f} % of buildings in"
 
@@ -228,6 +232,81 @@ class City(FactsRepr):
         if self.terrain_extent_m is None:
             return self.known_area
         return shapely.intersection(self.known_area, shapely.box(*self.terrain_extent_m))
+
+    @typed
+    def why(self, lon: float, lat: float) -> pd.DataFrame:
+        """Return what stands at a place, by which rule, how high it is, and how that is known.
+
+        A thing stands there if its outline is at most 1 m away, as wires and walls are thin; a raster says what its
+        pixel holds. **Where nothing stands, the table is headed so and holds the nearest thing.** What a file holds and
+        the rules leave out, such as a fence, a pier or a tunnel, is not kept and not listed; ``read_issues`` counts it
+        by reason. Whether a kind counts in maps (``kinds``) does not matter here.
+
+        Args:
+          lon, lat: longitude and latitude of the place in degrees.
+
+        Returns:
+          A row for each thing, the highest first, those of unknown height last: ``kind``, or what the file calls
+          something of unknown kind; ``rule``, by which it stands, of the [table of kinds](../../model/kinds.md#kinds),
+          ``""`` without one; ``height_m`` above the ground, NaN where it is unknown; ``known_by``, how it is known;
+          ``likely_m`` and ``highest_m``, which 99 % and all but a few of its kind keep below: the height itself where
+          it is known, inf where nothing says; ``min_height_m`` of the underside; ``distance_m`` from the place;
+          ``source``, its file; and, if the city has a terrain, ``ground_m``, its elevation.
+
+        Raises:
+          InputError: nothing is known at the place, as it lies outside the city.
+
+        Examples:
+          >>> city.why(-73.97, 40.78)[["kind", "height_m", "known_by"]]
+        """
+        xy_m = np.array(transformer(WGS84, self.crs).transform(lon, lat))
+        place = shapely.Point(np.nan_to_num(xy_m, nan=BEYOND_M, posinf=BEYOND_M))
+        file = self.sources.get("buildings", "")
+        layers = (
+            ("buildings", self.buildings),
+            ("structures", self.structures),
+            ("buildings", self._pixel(self.roofs, place, "roof")),
+            ("vegetation", self._pixel(self.vegetation, place, WOOD)),
+        )
+        things = pd.concat(
+            pd.DataFrame(things.facts_at(place)).assign(source=self.sources.get(role, file))
+            for role, things in layers
+            if things is not None
+        )
+        nearest_m = things["distance_m"].min()
+        is_here = nearest_m <= NEAR_M
+        if not (is_here or shapely.intersects(self.known_area, place)):
+            raise InputError(
+                f"nothing is known at longitude {lon:g}, latitude {lat:g}: give a place in the city, longitude first"
+            )
+        near = things[things["distance_m"] <= max(NEAR_M, nearest_m)]
+        near = near.sort_values("height_m", ascending=False, ignore_index=True)
+        if self.terrain is not None:
+            near["ground_m"] = self._value_at(self.terrain, place, "bilinear")
+        stands = "this stands" if is_here else "nothing stands"
+        return near.rename_axis(columns=f"{stands} at {lon:.6f}, {lat:.6f}")
+
+    def _pixel(self, raster: Raster | None, place: shapely.Point, kind: str) -> Footprints | None:
+        """Return what a raster of heights holds at a place in the city's CRS; None without one.
+
+        A pixel without a value is of unknown height where anything is known, and 0 m is nothing.
+
+        Args:
+          raster: of heights above the ground.
+          place: where it is looked at.
+          kind: of what it holds.
+        """
+        if raster is None:
+            return None
+        height_m = self._value_at(raster, place, "nearest")
+        zero = np.zeros(1)
+        origin = zero + HeightOrigin.RASTER
+        pixel = Footprints(np.array([place]), height_m, zero, origin, zero, np.array([kind]))
+        return pixel.take((height_m != 0) & shapely.intersects(self.known_area, place))
+
+    def _value_at(self, raster: Raster, place: shapely.Point, method: Resampling) -> np.ndarray:
+        """Return a raster's value at a place in the city's CRS, ``[1]``, NaN where it has none."""
+        return raster_values(raster, *np.reshape(place.coords[0], (2, 1)), self.crs, method)
 
     def plot(self) -> "Figure":
         """Return a picture of its heights, and of those that are guessed, before any map is made.

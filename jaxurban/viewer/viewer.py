@@ -146,6 +146,7 @@ class Viewer:
             "sky": (SkyRequest, self.sky),
             "plan": (Plan, self.plan),
             "why": (Plan, self.why),
+            "stands": (SkyRequest, self.stands),
             "report": (Plan, self.report),
             "save": (Save, self.save),
             "check": (MissionRequest, self.check),
@@ -354,6 +355,20 @@ class Viewer:
     def why(self, query: Plan) -> str:
         """Return why the start of a query is closed to routes, or that it is free (`Plans.why`)."""
         return self.plans.why(query, self.flight(query))
+
+    def stands(self, query: SkyRequest) -> str:
+        """Return what stands at a place, and by which rule, as HTML (`City.why`); "" where no city can be read.
+
+        Raises:
+          InputError: the place lies outside the city.
+        """
+        city = self._city
+        if city is None:
+            return ""
+        things = city.why(*query.place)
+        shown = things[["kind", "height_m", "known_by", "rule"]]
+        table = shown.to_html(index=False, index_names=False, border=0, na_rep="?")
+        return sentences([("note", str(things.columns.name))]) + table
 
     def legend(self, view: View) -> dict[str, Any]:
         """Return how the values of a view become colours (`legend_of`).

@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import shapely
 
 from jaxurban.world.grid import Bounds
 from jaxurban.world.rows import Rows
@@ -36,6 +37,24 @@ GUESSED_BY = {  # the origins of heights that are guesses, as reports say them w
     HeightOrigin.ROUGH: "by rough figures such as 30-40",
     HeightOrigin.UNREADABLE: "for want of a readable one",
 }
+KNOWN_BY = dict(  # by origin: how the height of one thing is known, in words
+    zip(
+        HeightOrigin,
+        (
+            "a height in its file",
+            "its number of levels",
+            "a guess",
+            "a raster of heights",
+            "the synthetic city",
+            "the layer of a bridge",
+            "not known",
+            "its lowest part",
+            "a rough figure in its file",
+            "a guess, as none in its file can be read",
+        ),
+        strict=True,
+    )
+)
 BUILDING: Literal["building"] = "building"
 UNKNOWN = "unknown"  # of a kind that nothing says
 
@@ -117,6 +136,19 @@ class Footprints(Rows):
     def likely_upper_m(self) -> np.ndarray:
         """``[B]`` float64 height above ground that is likely not exceeded there: ``height_m`` where it is known."""
         return np.maximum(self.height_m, np.minimum(self.upper_m, self.likelies_m))
+
+    def facts_at(self, place: shapely.Point) -> dict[str, Any]:
+        """Return ``[B]`` by the columns of `City.why` what each is, how high, and how far from a place in their CRS."""
+        return {
+            "kind": self.named,
+            "rule": self.rules,
+            "height_m": np.where(self.kinds == UNKNOWN, np.nan, self.height_m),
+            "known_by": [KNOWN_BY[origin] for origin in self.origin.tolist()],
+            "likely_m": self.likely_upper_m,
+            "highest_m": self.upper_m,
+            "min_height_m": self.min_height_m,
+            "distance_m": shapely.distance(self.polygons, place),
+        }
 
     def joined(self, other: "Footprints | None") -> "Footprints":
         """Return these outlines and, after them, others."""

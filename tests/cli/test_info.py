@@ -1,15 +1,18 @@
 """What `jaxurban info` says of files that are neither buildings nor rasters: what they hold, and what reads them."""
 
 import json
+import math
 import shutil
 import sys
 from functools import reduce
 from operator import xor
 
 import pytest
+import shapely
 
+import jaxurban as ju
 from jaxurban.io.samples import located
-from tests.cli_runs import TOWN, assert_one_sentence, run
+from tests.cli_runs import TOWN, assert_one_sentence, run, write_city
 
 SP3_HEAD = "#cP2005  4  2  2  0  0.00000000      33 ORBIT IGS00 HLM  IGS"
 
@@ -130,3 +133,66 @@ def test_what_cannot_be_read_is_named_as_what_it_is(capsys, tmp_path, name, cont
     code, _, err = run(capsys, "info", tmp_path / name)
     assert code == 2
     assert_one_sentence(err, *words)
+
+
+HOUSE = shapely.box(-73.998, 40.757, -73.997, 40.758)
+IN_HOUSE = ("--at", "-73.9975,40.7575")
+
+
+def test_info_says_what_stands_at_a_place_of_a_file_and_by_which_rule(capsys, tmp_path):
+    write_city(tmp_path, HOUSE)
+    code, out, err = run(capsys, "info", tmp_path / "city.geojson", *IN_HOUSE)
+    assert (code, err) == (0, "")
+    lines = [line.split(maxsplit=1) for line in out.splitlines()[1:]]
+    assert dict(map(tuple, lines)) == {
+        "kind": "building",
+        "rule": "area in a file that names no buildings",
+        "height_m": "30.0",
+        "known_by": "a height in its file",
+        "likely_m": "30.0",
+        "highest_m": "30.0",
+        "min_height_m": "0.0",
+        "distance_m": "0.0",
+        "source": str(tmp_path / "city.geojson"),
+    }
+    assert out.startswith("this stands at -73.997500, 40.757500")
+
+
+def test_info_at_a_place_prints_its_numbers_as_json_and_null_for_no_bound(capsys, tmp_path):
+    write_city(tmp_path, HOUSE, shapely.box(-73.996, 40.757, -73.995, 40.758))
+    file = tmp_path / "city.geojson"
+    city = json.loads(file.read_text())
+    city["features"].append(
+        {
+            "type": "Feature",
+            "properties": {"man_made": "chimney"},
+            "geometry": {"type": "Point", "coordinates": [-73.9964, 40.7575]},
+        }
+    )
+    file.write_text(json.dumps(city))
+    _, out, _ = run(capsys, "info", file, "--at", "-73.9964,40.7575", "--json")
+    (row,) = json.loads(out)["numbers"]
+    assert (row["kind"], row["height_m"], row["highest_m"]) == ("chimney", 30.0, None)
+    _, out, _ = run(capsys, "info", file, "--at", "-73.9968,40.7575", "--json")
+    facts = json.loads(out)
+    assert facts["stands"] == "nothing stands at -73.996800, 40.757500"
+    east_m = 0.0002 * 111_320 * math.cos(math.radians(40.7575))
+    assert facts["numbers"][0]["kind"] == "building"
+    assert facts["numbers"][0]["distance_m"] == pytest.approx(east_m, rel=0.01)
+
+
+def test_info_at_a_place_outside_or_swapped_is_one_sentence(capsys, tmp_path):
+    write_city(tmp_path, HOUSE)
+    for place in ("40.7575,-73.9975", "-73.9,40.7575"):
+        code, out, err = run(capsys, "info", tmp_path / "city.geojson", f"--at={place}")
+        assert (code, out) == (2, "")
+        assert_one_sentence(err, place.split(",")[0], "longitude first")
+
+
+@pytest.mark.filterwarnings("ignore::jaxurban.GuessWarning")
+def test_info_of_maps_says_what_stands_in_the_city_that_they_are_of(capsys, made):
+    city = ju.Scenario.from_toml(made.parent / "town.toml")
+    assert city.is_synthetic
+    code, out, err = run(capsys, "info", made, "--at", "-73.9965,40.758", "--json")
+    assert code == 0, err
+    assert json.loads(out)["numbers"][0]["known_by"] == "the synthetic city"

@@ -119,7 +119,7 @@ def test_without_json_a_failure_prints_nothing_on_stdout(capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["maps", "info", "info-file", "plan", "when", "compare", "fetch", "sky"]
+    "name", ["maps", "info", "info-file", "info-at", "plan", "when", "compare", "fetch", "sky"]
 )
 def test_quick_commands_print_what_the_schema_says(name, made, tmp_path, capsys):
     write_city(tmp_path, box(-73.9975, 40.7568, -73.994, 40.7592))
@@ -127,6 +127,7 @@ def test_quick_commands_print_what_the_schema_says(name, made, tmp_path, capsys)
         "maps": ("maps", made.parent / "town.toml", "-o", made),
         "info": ("info", made),
         "info-file": ("info", tmp_path / "city.geojson"),
+        "info-at": ("info", tmp_path / "city.geojson", "--at=-73.995,40.758"),
         "plan": ("plan", made, *ROUTE, "--report"),
         "when": ("plan", made, *ROUTE, "--when"),
         "compare": ("compare", made, made, "-o", tmp_path / "out"),

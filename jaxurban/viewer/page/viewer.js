@@ -173,6 +173,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const showWhy = latest(async () => {
     const place = state.sky && toLonLat(state.sky);
     is('why').textContent = place ? await ask('why', { start: place, goal: place, weights: {}, ...rules() }) : '';
+    is('stands').innerHTML = place ? await ask('stands', { at: places(), place }) : ''; // reads the city first
   });
   const showSky = latest(async () => { // over the place that was clicked; the first one waits for the city
     const follows = 'Looking at the sky …';
