@@ -16,7 +16,7 @@ from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts
 from jaxurban.io.learned import Learned
-from jaxurban.io.sampling import Resampling, raster_values
+from jaxurban.io.sampling import raster_values
 from jaxurban.knowledge import Caution, Guesses, caution_of_guesses
 from jaxurban.public import FactsRepr
 from jaxurban.settings import TO_GROUND, Hanging
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from jaxurban.metrics.population import Population
 
 NEAR_M = 1.0  # of a place: what is so near counts as there, as wires and walls are thin
-BEYOND_M = 1e9  # east and north of all cities: where a CRS has no coordinates
 WOOD = "wood"  # the kind of what a raster of vegetation holds
 MOST_IN = f"{100 * MAIN_SHARE:.0f} % of buildings in"
 
@@ -238,9 +237,9 @@ class City(FactsRepr):
         """Return what stands at a place, by which rule, how high it is, and how that is known.
 
         A thing stands there if its outline is at most 1 m away, as wires and walls are thin; a raster says what its
-        pixel holds. **Where nothing stands, the table is headed so and holds the nearest thing.** What a file holds and
-        the rules leave out, such as a fence, a pier or a tunnel, is not kept and not listed; ``read_issues`` counts it
-        by reason. Whether a kind counts in maps (``kinds``) does not matter here.
+        pixel holds, NaN where it has no value. **Where nothing stands, the table is headed so and holds the nearest
+        thing.** What a file holds and the rules leave out, such as a fence, a pier or a tunnel, is not kept and not
+        listed; ``read_issues`` counts it by reason. Whether a kind counts in maps (``kinds``) does not matter here.
 
         Args:
           lon, lat: longitude and latitude of the place in degrees.
@@ -257,10 +256,12 @@ class City(FactsRepr):
           InputError: nothing is known at the place, as it lies outside the city.
 
         Examples:
-          >>> city.why(-73.97, 40.78)[["kind", "height_m", "known_by"]]
+          >>> city.why(-73.97085, 40.77932)[["kind", "height_m", "known_by"]]
+          this stands at -73.970850, 40.779320      kind  height_m            known_by
+          0                                     building     390.0  the synthetic city
+          1                                     building      25.4  the synthetic city
         """
-        xy_m = np.array(transformer(WGS84, self.crs).transform(lon, lat))
-        place = shapely.Point(np.nan_to_num(xy_m, nan=BEYOND_M, posinf=BEYOND_M))
+        place = shapely.Point(transformer(WGS84, self.crs).transform(lon, lat))
         file = self.sources.get("buildings", "")
         layers = (
             ("buildings", self.buildings),
@@ -268,11 +269,12 @@ class City(FactsRepr):
             ("buildings", self._pixel(self.roofs, place, "roof")),
             ("vegetation", self._pixel(self.vegetation, place, WOOD)),
         )
-        things = pd.concat(
-            pd.DataFrame(things.facts_at(place)).assign(source=self.sources.get(role, file))
-            for role, things in layers
-            if things is not None
-        )
+        with np.errstate(invalid="ignore"):  # of a place for which the CRS has no coordinates
+            things = pd.concat(
+                pd.DataFrame(each.facts_at(place)).assign(source=self.sources.get(role, file))
+                for role, each in layers
+                if each is not None
+            )
         nearest_m = things["distance_m"].min()
         is_here = nearest_m <= NEAR_M
         if not (is_here or shapely.intersects(self.known_area, place)):
@@ -282,7 +284,8 @@ class City(FactsRepr):
         near = things[things["distance_m"] <= max(NEAR_M, nearest_m)]
         near = near.sort_values("height_m", ascending=False, ignore_index=True)
         if self.terrain is not None:
-            near["ground_m"] = self._value_at(self.terrain, place, "bilinear")
+            x_m, y_m = shapely.get_coordinates(place).T
+            near["ground_m"] = raster_values(self.terrain, x_m, y_m, self.crs, "bilinear")[0]
         stands = "this stands" if is_here else "nothing stands"
         return near.rename_axis(columns=f"{stands} at {lon:.6f}, {lat:.6f}")
 
@@ -298,15 +301,12 @@ class City(FactsRepr):
         """
         if raster is None:
             return None
-        height_m = self._value_at(raster, place, "nearest")
+        x_m, y_m = shapely.get_coordinates(place).T
+        height_m = raster_values(raster, x_m, y_m, self.crs, "nearest")
         zero = np.zeros(1)
         origin = zero + HeightOrigin.RASTER
         pixel = Footprints(np.array([place]), height_m, zero, origin, zero, np.array([kind]))
         return pixel.take((height_m != 0) & shapely.intersects(self.known_area, place))
-
-    def _value_at(self, raster: Raster, place: shapely.Point, method: Resampling) -> np.ndarray:
-        """Return a raster's value at a place in the city's CRS, ``[1]``, NaN where it has none."""
-        return raster_values(raster, *np.reshape(place.coords[0], (2, 1)), self.crs, method)
 
     def plot(self) -> "Figure":
         """Return a picture of its heights, and of those that are guessed, before any map is made.

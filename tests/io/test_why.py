@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+import shapely
 
 import jaxurban as ju
 from jaxurban.cities.rules import RULES
@@ -12,7 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.city import City
 from jaxurban.world.footprints import KNOWN_BY, HeightOrigin
 from jaxurban.world.grid import WGS84, transformer
-from tests.made_files import line, node, osm
+from tests.made_files import line, node, osm, write_features
 from tests.made_maps import city_of_kinds
 
 INF = np.inf
@@ -107,6 +108,18 @@ def test_a_thing_within_a_metre_counts_as_there_and_one_beyond_does_not(town):
 def test_a_place_outside_the_city_is_refused_in_one_sentence(town, lon, lat):
     with pytest.raises(InputError, match=r"give a place in the city, longitude first$"):
         town.why(lon, lat)
+
+
+def test_what_stands_alone_far_from_all_buildings_is_still_named(tmp_path):
+    mast, house = shapely.Point(-73.9, 40.75), shapely.box(-74.0, 40.7, -73.9998, 40.7002)
+    file = write_features(
+        tmp_path / "a.geojson", (mast, {"man_made": "mast"}), (house, {"building": "yes"})
+    )
+    with pytest.warns(ju.GuessWarning):
+        city = City.from_files(file)
+    assert city.why(-73.9, 40.75)["kind"].tolist() == ["mast"]
+    with pytest.raises(InputError, match="nothing is known"):
+        city.why(-73.95, 40.75)
 
 
 def test_a_place_that_is_no_number_is_refused(town):

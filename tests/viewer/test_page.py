@@ -447,11 +447,13 @@ def test_a_click_shows_the_sky_over_the_place_and_another_altitude_shows_that_of
         page.select_option('[name="altitude"]', "1")
         until(page, lambda: page.locator('[data-is="sky"]').inner_html() != low)
         assert " seen, " in low
+        assert " stands at 139.76" in page.locator('[data-is="stands"]').inner_text()
         box = page.locator(SKY).bounding_box()
         assert box["y"] + box["height"] / 2 < SIZE["height"]  # in sight without scrolling
         page.locator('[data-is="map"]').focus()
         page.keyboard.press("Escape")
         until(page, lambda: page.locator('[data-is="sky"]').inner_html() == "")
+        until(page, lambda: page.locator('[data-is="stands"]').inner_html() == "")
         page.keyboard.press("Enter")
         page.wait_for_selector(SKY)
 

@@ -612,3 +612,30 @@ def test_a_sky_is_that_of_the_library_and_maps_in_memory_say_why_they_have_none(
     assert {short_name(name) for name in here.table["satellite"]} <= names
     with pytest.raises(InputError, match="made in memory do not hold their city"):
         Viewer(MAPS).answer("sky", {"at": [0, 0, 0], "place": place})
+
+
+def test_a_place_says_what_stands_there_and_why_and_maps_alone_say_nothing_of_it():
+    viewer = Viewer(MAPS)
+    corner_m = MAPS.grid.x_min_m, MAPS.grid.y_min_m
+    city = city_of_boxes([(10, 20, 60, 80), (200, 100, 260, 190)], [8.0, 40.0], 1000.0, corner_m)
+    named = replace(
+        city.buildings,
+        kind=np.array(["building", "unknown"], object),
+        label=np.array(["", "attraction=<b>wheel"], object),
+        rule=np.array(["building", "attraction: *"], object),
+    )
+    viewer.__dict__["_sight"] = SimpleNamespace(city=replace(city, buildings=named))
+
+    def said(east_m: float, north_m: float) -> str:
+        place = MAPS.grid.lonlat_of_xy(corner_m[0] + east_m, corner_m[1] + north_m)
+        return answer(viewer, "stands", at=[0, 0, 0], place=place)
+
+    cells = re.findall(r"<td>(.*?)</td>", said(30, 40))
+    assert cells == ["building", "8.0", "a height in its file", "building"]
+    assert "this stands at" in said(30, 40)
+    assert "nothing stands at" in said(120, 40)
+    assert "attraction=&lt;b&gt;wheel" in said(230, 150)
+    assert "<td>?</td>" in said(230, 150)  # of unknown height
+    with pytest.raises(InputError, match="give a place in the city"):
+        said(-3000, 0)
+    assert answer(Viewer(MAPS), "stands", at=[0, 0, 0], place=ENDS[0]) == ""
