@@ -136,7 +136,7 @@ def at(city: City, east_m: float, north_m: float) -> pd.DataFrame:
     return city.why(*transformer(city.crs, WGS84).transform(x_m, y_m))
 
 
-def test_plants_of_a_raster_and_the_ground_are_told_beside_outlines():
+def test_plants_of_a_raster_and_the_ground_are_named_beside_outlines():
     city = city_of_kinds(CORNER)
     plants = at(city, 30, 130)
     assert plants[["kind", "height_m", "known_by"]].to_numpy().tolist() == [
