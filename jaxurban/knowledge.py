@@ -46,6 +46,12 @@ class GuessKind(Enum):
         "{share} of the heights of buildings are in the terrain already, as in a surface model (SRTM, Copernicus "
         "GLO-30), so roofs stand at wrong elevations by as much: give a terrain model of the bare ground",
     )
+    ESTIMATES = (
+        "{share} of heights estimated by a model",
+        "{number:,} of the {of:,} heights of buildings in the region are estimates of a model, which may be far too "
+        "low, so nothing is judged between them and their bounds: give heights that were measured (outlines with them, "
+        "or a surface model), or set [buildings] highest_m to what no building there exceeds",
+    )
     HEIGHTS = (
         "{share} of heights",
         "{share} of the heights of the {number:,} buildings in the region are guessed ({kinds}): give a source with "

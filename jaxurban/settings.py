@@ -218,6 +218,8 @@ class Buildings(Heights):
       unit: of numbers in ``height_column`` that name none.
       crs: of the coordinates of outlines or a city model, such as ``"EPSG:28992"``, where the file declares none or a
         wrong one, which it replaces.
+      heights: ``"estimated"``: a model made them, so each is a guess that may be far too low; ``"measured"``: none is
+        a model's. Left out, as the file says it (`jaxurban.cities.estimates`).
 
     Raises:
       InputError: a height setting that is not above 0, or above `MAX_HEIGHT_M`, an unknown kind or unit, a
@@ -242,6 +244,7 @@ class Buildings(Heights):
     unit: Unit | None = None
     crs: str | None = None
     highest_m: float | Mapping[str, float] | None = None
+    heights: Literal["measured", "estimated"] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

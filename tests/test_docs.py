@@ -317,7 +317,7 @@ def test_the_scenario_page_names_every_setting_with_its_default():
     )
     shown = tomllib.loads(block.text)
     columns = {"height_column", "ground_column", "levels_column", "unit"}
-    columns |= {"crs", "highest_m", "default_height_m"}
+    columns |= {"crs", "highest_m", "default_height_m", "heights"}
     left_out = {"region": {"bounds", "crs"}, "buildings": {"source", *columns}}
     left_out |= {"terrain": {"source"}, "vegetation": {"source"}, "obstacles": {"kinds"}}
     left_out |= {"gps": {"times", "reference"}}

@@ -21,7 +21,7 @@ from jaxurban.cities.kinds import (
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.solids import prisms_of_solids
 from jaxurban.cities.stands import is_water, what_stands
-from jaxurban.cities.structures import limits_by_name_m, to_structures
+from jaxurban.cities.structures import estimated_to_m, limits_by_name_m, to_structures
 from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.learned import (
@@ -43,6 +43,8 @@ BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it li
 PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
 STRIP_M = 2.0  # narrower is what parts that are drawn roughly leave of their outline
 SAME_HEIGHT_M = 0.5  # an outline and its highest part
+# Whose likely height is that of their class.
+OF_CLASS = (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE, HeightOrigin.ESTIMATED)
 RESHAPED = ("polygons", "height_m", "origin", "limit_m")
 
 
@@ -211,9 +213,9 @@ def _with_guesses(buildings: Footprints, found: Outlines, guess_m: np.ndarray) -
 
 def _likelies_m(buildings: Footprints, found: Outlines, likely_m: np.ndarray) -> np.ndarray:
     """Return ``[N]`` what is likely: of a class, ``likely_m``, over the underside and what the outline rises."""
-    is_of_class = np.isin(buildings.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE))
+    is_of_class = np.isin(buildings.origin, OF_CLASS)
     over_m = likely_m + buildings.min_height_m + found.tags["rise_m"]
-    return np.where(is_of_class, over_m, np.inf)
+    return np.where(is_of_class, np.fmax(over_m, estimated_to_m(found)), np.inf)
 
 
 def _classes(polygons: np.ndarray, is_part: np.ndarray, is_deck: np.ndarray) -> np.ndarray:
@@ -322,6 +324,7 @@ def _limits_m(
         HeightOrigin.LEVELS: LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M,
         HeightOrigin.DEFAULT: by_name_m,
         HeightOrigin.ROUGH: np.maximum(ROUGH_LIMIT * buildings.height_m, by_name_m),
+        HeightOrigin.ESTIMATED: np.fmax(by_name_m, estimated_to_m(found)),
     }
     of_origin = [buildings.origin == origin for origin in limits_m]
     above_m = np.select(of_origin, list(limits_m.values()), np.inf)

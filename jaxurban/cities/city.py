@@ -400,6 +400,7 @@ def read_buildings(
         'kind = "surface" is for rasters': file.kind == "surface" and read is not None,
         "crs is for outlines and lidar points": file.crs is not None
         and (read is _read_osm or (read is None and sniff(path) != LIDAR)),
+        "heights is for outlines": file.heights is not None and read is None,
         COLUMNS_SAID: len(named_columns(file)) > 0 and read in (None, _read_osm),
     }
     for what, is_wrong in is_misplaced.items():

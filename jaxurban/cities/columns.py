@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pandas as pd
 import pyproj
 
 from jaxurban import settings
+from jaxurban.cities.estimates import FIGURES, METHODS, SOURCES, with_estimates
 from jaxurban.cities.heights import FOOT_M, is_given, parse_length_m, read_column
 from jaxurban.cities.kinds import NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING
 from jaxurban.cities.rules import IN_WORDS, KINDS
@@ -112,7 +114,7 @@ SCHEMAS |= {f"height{mark}{unit}": unit for mark in ("", "_") for unit in UNITS_
 GROUNDS = {"b3_h_dak_max": "b3_h_maaiveld", "topheight": "baseheight"}
 # Overture Maps, Microsoft, GlobalBuildingAtlas and USA Structures call theirs ``height``, in metres; Google's outlines
 # have none.
-KNOWN = set(" ".join([*NESTED, *COLUMNS.values(), *SCHEMAS]).split())
+KNOWN = set(" ".join([*NESTED, *COLUMNS.values(), *SCHEMAS, *METHODS, SOURCES, *FIGURES]).split())
 # Words for height in names of columns, and those by which it is not that of the roof.
 HEIGHT = re.compile(
     "^h$|^ht$|_ht$|^roof_?z$|^z_?max$|h_dak|heigh|hgt|hght|hoeh|höhe|hauteur|altura|altezza|hoogte|"
@@ -140,13 +142,14 @@ def is_of_buildings(column: object, named: Collection[str] = ()) -> bool:
     return name in KNOWN or column in named or HEIGHT.search(name) is not None
 
 
-def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
+def tags_of(columns: Mapping[Any, np.ndarray], file_name: str = "") -> dict[str, np.ndarray]:
     """Return columns, or OpenStreetMap's tags, of outlines under the names that `Outlines` knows.
 
     Of several columns that hold one tag the first that is filled counts, row by row.
 
     Args:
       columns: ``[N]`` values by name; columns of other names are left out.
+      file_name: of a table, which may say that a model estimated its heights.
     """
     values = {_plain(name): column for name, column in columns.items()}
     if UNDERGROUND_COLUMN in values:
@@ -173,7 +176,7 @@ def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
                 tags[tag] = _filled(tags[tag], own) if tag in tags else own
     if "max_height" in values:
         tags.pop("min_height", None)  # it is that of the lowest roof
-    return tags
+    return with_estimates(tags, values, file_name)
 
 
 def tags_of_table(
@@ -199,7 +202,10 @@ def tags_of_table(
             f"{str(file.source)!r} has no column {', '.join(missing)}: its columns are {', '.join(columns) or 'none'}"
         )
     values = _opened({_plain(name): column for name, column in columns.items()})
-    tags = tags_of(values)
+    schema = next((names for names in SCHEMAS if set(names.split()) <= values.keys()), None)
+    if schema is not None:  # whose figures of confidence are those of a survey
+        values = {name: column for name, column in values.items() if name not in FIGURES}
+    tags = tags_of(values, Path(file.source).name)
     if file.levels_column is not None:
         tags["levels"] = columns[file.levels_column]
 
@@ -207,7 +213,6 @@ def tags_of_table(
     roof = _plain(file.height_column or "")
     ground = _plain(file.ground_column or "")
     unit = file.unit
-    schema = next((names for names in SCHEMAS if set(names.split()) <= values.keys()), None)
     if not roof and schema is not None:
         roof = schema.split()[0]
         ground = GROUNDS.get(roof, "")

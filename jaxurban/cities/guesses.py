@@ -14,7 +14,7 @@ from jaxurban.io.learned import CLASSES, PART_CLASSES, Learned
 from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed
 from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import lonlat_boxes
-from jaxurban.world.footprints import GUESSED_BY, Footprints
+from jaxurban.world.footprints import GUESSED_BY, Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds
 
 if TYPE_CHECKING:
@@ -49,9 +49,15 @@ def height_guesses(
         default = f"by the default of {file.default_height_m:g} m"
     numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M, "default": default}
     counts = {words: int((inside.origin == origin).sum()) for origin, words in GUESSED_BY.items()}
+    num_estimated = counts.pop(GUESSED_BY[HeightOrigin.ESTIMATED])
     kinds = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
-    share = buildings.guessed_share(bounds_m)
-    guesses = guessed(GuessKind.HEIGHTS, share, number=len(inside), kinds=kinds)
+    num = max(len(inside), 1)
+    guesses = guessed(
+        GuessKind.ESTIMATES, num_estimated / num, number=num_estimated, of=len(inside), least=0.0
+    )
+    guesses += guessed(
+        GuessKind.HEIGHTS, sum(counts.values()) / num, number=len(inside), kinds=kinds
+    )
     if file.highest_m is not None:
         guesses += guessed(GuessKind.HIGHEST_SAID, highest_m=str(file.highest_m))
     high = inside.take(inside.height_m > HIGHEST_M)

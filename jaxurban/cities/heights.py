@@ -157,8 +157,8 @@ def estimate_heights(
 
     Args:
       tags: ``[N]`` arrays of numbers, or of objects (text, numbers or None), by name: ``height``, ``levels``,
-        ``roof_levels`` (added to ``levels``; alone they say nothing), ``min_height``, ``min_level``; a missing name is
-        an empty column.
+        ``roof_levels`` (added to ``levels``; alone they say nothing), ``min_height``, ``min_level``,
+        ``estimated_to_m``; a missing name is an empty column.
       polygons, is_part: ``[N]`` as of `Footprints`.
       rules: height of one level, and where nothing usable is given.
 
@@ -210,6 +210,8 @@ def estimate_heights(
         has_rough[has_height] = pd.Series(words).astype(str).str.contains(ROUGH)
     origins = {
         HeightOrigin.UNREADABLE: height_m > MAX_HEIGHT_M,
+        HeightOrigin.ESTIMATED: has_height
+        & _is_estimated(tags.get("estimated_to_m", empty), rules),
         HeightOrigin.ROUGH: has_rough,
         HeightOrigin.HEIGHT: has_height,
         HeightOrigin.LEVELS: has_levels,
@@ -223,6 +225,13 @@ def estimate_heights(
         is_part,
     )
     return heights, issues
+
+
+def _is_estimated(estimated_to_m: np.ndarray, rules: settings.Buildings) -> np.ndarray:
+    """Return ``[N]`` whether heights are estimates, by the user's word, else by what the file says of each."""
+    if rules.heights is None:
+        return is_given(estimated_to_m)
+    return np.full(len(estimated_to_m), rules.heights == "estimated")
 
 
 def with_decks(buildings: Footprints, is_deck: np.ndarray, layer: np.ndarray) -> Footprints:

@@ -39,14 +39,15 @@ LOW_BARRIERS = {
 SOME = {  # values of keys of which others do not stand; what is water says which bridges cross it
     key: {*BY_VALUE.get(key, ()), *WATERS.get(key, ())} for key in (*BY_VALUE, *WATERS)
 }
+METHODS = ("source:height", "height:source")  # which say how a height is known
 OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *(*BUILDINGS, "height", "building:levels", "levels", "roof:levels", "min_height"),
     *("building:min_level", "building:levels:underground", "location", "layer", "level"),
     *("parking", "man_made", "building:height", "est_height", "tower:type", "bridge:support"),
-    *("aerialway", "attraction", "roller_coaster"),
+    *("aerialway", "attraction", "roller_coaster", *METHODS),
 )
 OF_LAMPS = ("highway", "height", "location", "level", "indoor")
-OF_TREES = ("natural", "height", "est_height", "diameter_crown", "location", "level")
+OF_TREES = ("natural", "height", "est_height", "diameter_crown", "location", "level", *METHODS)
 TAGS = {
     *(*OF_BUILDINGS, *OF_TREES, *MAYBE, *SOME, "railway", "lanes", "indoor", "diameter", "width"),
     *("bridge:structure", "bridge:movable", "tower:construction"),

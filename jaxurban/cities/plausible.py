@@ -192,7 +192,7 @@ def check_are_heights(
     """
     if isinstance(stands, Footprints):
         is_lost = stands.origin == HeightOrigin.UNREADABLE
-        is_stated = ~stands.is_guessed | is_lost
+        is_stated = ~stands.is_guessed | is_lost | (stands.origin == HeightOrigin.ESTIMATED)
         height_m = np.where(is_lost, np.inf, stands.height_m)[is_stated]
         if len(height_m) < LEAST_STATED * len(is_stated):
             return

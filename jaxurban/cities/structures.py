@@ -121,10 +121,11 @@ def _others_of(
     measured_m = np.where(is_measured, stated.height_m, 0.0)
     given_m = measured_m * np.isin(names, LEARNED_KINDS) * learns
     learned = learned_from(names, given_m, given_m)
-    guess_m, likely_m = (
-        np.where(has_height, np.nan, of_classes(learned, names, field))
-        for field in ("guess_m", "likely_m")
-    )
+    is_estimated = stated.origin == HeightOrigin.ESTIMATED
+    guess_m = np.where(has_height, np.nan, of_classes(learned, names, "guess_m"))
+    likely_m = of_classes(learned, names, "likely_m")
+    likely_m = np.maximum(likely_m, np.nan_to_num(estimated_to_m(outlines)))
+    likely_m[has_height & ~is_estimated] = np.nan
     known = (stated, has_height, measured_m, guess_m, likely_m)
     return _Others(outlines, kinds, names, dimension, sizes, *known), learned
 
@@ -197,7 +198,13 @@ def _bound_m(others: _Others) -> np.ndarray:
     is_open |= others.stated.origin == HeightOrigin.UNREADABLE
     row = np.where(tags["label"] == "", others.kinds, tags["label"])
     highest_m = pd.Series(others.measured_m).groupby(row, sort=False).transform("max")
-    return np.fmax(np.where(is_open, np.inf, of_kind_m), highest_m.to_numpy())
+    known_m = np.fmax(highest_m.to_numpy(), estimated_to_m(others.outlines))
+    return np.fmax(np.where(is_open, np.inf, of_kind_m), known_m)
+
+
+def estimated_to_m(outlines: Outlines) -> np.ndarray:
+    """Return ``[N]`` how high what has an estimated height may be by its model, NaN where that says nothing."""
+    return read_column(outlines.column("estimated_to_m"), parse_length_m)
 
 
 def limits_by_name_m(outlines: Outlines, others_m: float | np.ndarray) -> np.ndarray:

@@ -109,6 +109,7 @@ def _run(arguments: Sequence[str]) -> int:
     """
     stdout = sys.stdout
     fail = partial(_fail, arguments)
+    code = 0
     try:
         _set_up_libraries()
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
@@ -133,11 +134,11 @@ def _run(arguments: Sequence[str]) -> int:
         code = fail(NO_MEMORY)
     except (BrokenPipeError, SystemExit) as end:
         # The reader of stdout has left, as `head` does. Where click notices it first, click puts an object of its own
-        # in the place of stdout and exits; with the former stdout an exit has another cause.
+        # in the place of stdout and exits; with the former stdout an exit has another cause. What the command has
+        # found out by then stays its code.
         if isinstance(end, SystemExit) and sys.stdout is stdout:
             raise
         _drop_stdout()
-        code = 0
     except OSError as error:
         if JSON not in arguments:
             _drop_stdout()

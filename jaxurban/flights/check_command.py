@@ -1,5 +1,6 @@
 """jaxurban check."""
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypedDict
@@ -177,12 +178,13 @@ def check_command(
         for file in result.save(output, overwrite):
             LOG.info(f"wrote {file}")
     code = CODES[result.state]
-    if as_json:
-        message = "" if code is ExitCode.DONE else result.sentence
-        people = None if density is None else density.to_dict()
-        print_json(result.to_dict() | {"density": people}, code, message)
-    else:
-        print("\n".join(result.lines))
-        if density is not None:
-            print(f"\n{density.table()}")
+    with suppress(BrokenPipeError):  # whoever reads the first line alone gets the code all the same
+        if as_json:
+            message = "" if code is ExitCode.DONE else result.sentence
+            people = None if density is None else density.to_dict()
+            print_json(result.to_dict() | {"density": people}, code, message)
+        else:
+            print("\n".join(result.lines))
+            if density is not None:
+                print(f"\n{density.table()}")
     return code

@@ -112,8 +112,10 @@ def highest_within(top_m: np.ndarray, horizontal_m: float, resolution_m: float) 
 def reach_said(limit_m: float) -> str:
     """Return how high what is of guessed height may reach, with the remedies, in words that go after "that"."""
     if math.isfinite(limit_m):
-        return f"may reach {limit_m:g} m (fly higher, or give its height)"
-    return "may reach any height (give its height)"
+        return (
+            f"may reach {limit_m:g} m (fly higher, give its height, or set [buildings] highest_m)"
+        )
+    return "may reach any height (give its height, or set [buildings] highest_m)"
 
 
 def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:

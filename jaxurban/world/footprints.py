@@ -14,7 +14,7 @@ from jaxurban.world.rows import Rows
 class HeightOrigin(IntEnum):
     """Where a building's height came from."""
 
-    HEIGHT = 0  # a height tag or column
+    HEIGHT = 0  # a height tag or column: measured, or said by who drew it
     LEVELS = 1  # number of levels x level height
     DEFAULT = 2  # neither: the guess of its class or kind, or the default height
     RASTER = 3  # a height raster
@@ -26,6 +26,7 @@ class HeightOrigin(IntEnum):
     UNREADABLE = (
         9  # the default or by levels, where one is given that cannot be read or is too high
     )
+    ESTIMATED = 10  # a tag or column that a model made, as the file or its user says
 
 
 GUESSED_BY = {  # the origins of heights that are guesses, as reports say them with the settings of the buildings
@@ -36,6 +37,7 @@ GUESSED_BY = {  # the origins of heights that are guesses, as reports say them w
     HeightOrigin.BESIDE_PARTS: "of outlines beside their parts, by their lowest part",
     HeightOrigin.ROUGH: "by rough figures such as 30-40",
     HeightOrigin.UNREADABLE: "for want of a readable one",
+    HeightOrigin.ESTIMATED: "estimated by a model",
 }
 KNOWN_BY = dict(  # by origin: how the height of one thing is known, in words
     zip(
@@ -51,6 +53,7 @@ KNOWN_BY = dict(  # by origin: how the height of one thing is known, in words
             "its lowest part",
             "a rough figure in its file",
             "a guess, as none in its file can be read",
+            "an estimate of a model in its file",
         ),
         strict=True,
     )

@@ -16,7 +16,8 @@ import pytest
 from shapely import box
 
 import jaxurban as ju
-from jaxurban.cli.main import app
+from jaxurban.cli.main import app, main
+from jaxurban.exit_codes import ExitCode
 from jaxurban.io.glance import glance
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.terminal.common import use_device
@@ -388,6 +389,23 @@ def test_a_reader_of_stdout_that_leaves_is_no_error(arguments):
     finally:
         os.close(write_end)
     assert (left.returncode, left.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize("buffering", [1, -1])  # which is noticed in the midst, and at the end
+def test_a_check_whose_reader_leaves_ends_with_the_code_of_its_verdict(
+    made, tmp_path, capsys, monkeypatch, buffering
+):
+    run(capsys, "plan", made, *AT_60_M, "--snap", "-o", tmp_path / "a.plan")
+    words = ["check", str(made), str(tmp_path / "a.plan"), "--limits", "max_people=0"]
+    verdict, *_ = run(capsys, *words)
+    assert verdict == ExitCode.FINDINGS
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    with os.fdopen(write_end, "w", buffering) as left:
+        monkeypatch.setattr(sys, "stdout", left)
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+    assert ended.value.code == verdict
 
 
 def test_view_writes_one_file_that_asks_nobody(made, tmp_path, capsys):

@@ -101,14 +101,18 @@ def test_what_lies_between_the_two_heights_is_not_judged_and_all_above_is(
 
 def test_what_is_not_judged_says_its_kind_and_up_to_where(tmp_path):
     for box, kind in ((HOUSE, "building"), (UNKNOWN, "unknown")):
-        said = f"({kind}) may reach 35 m (fly higher, or give its height)."
+        said = (
+            f"({kind}) may reach 35 m (fly higher, give its height, or set [buildings] highest_m)."
+        )
         (sentence,) = checked(street(), tmp_path, across(street(), box, 14.0)).not_judged
         assert sentence.endswith(said)
         # 40 m across, in steps of about a metre.
         assert int(sentence.split()[0]) == pytest.approx(40, abs=2)
     endless = street(np.inf)
     (sentence,) = checked(endless, tmp_path, across(endless, HOUSE, 190.0)).not_judged
-    assert sentence.endswith("(building) may reach any height (give its height).")
+    assert sentence.endswith(
+        "(building) may reach any height (give its height, or set [buildings] highest_m)."
+    )
 
 
 LIMITS = ju.Constraints(clearance_m=10.0)
@@ -198,10 +202,12 @@ def test_why_a_cell_is_closed_names_the_bound_and_the_remedies():
     assert ju.Constraints(**NOTHING).reasons(scene.maps, 20.0, beside) == []
     for limits, cell in (({"clearance_m": 12.0}, beside), (NOTHING, (60, 60))):
         (reason,) = ju.Constraints(**limits).reasons(scene.maps, 20.0, cell)
-        said = "a roof of guessed height that may reach 35 m (fly higher, or give its height)"
-        assert reason == said
+        remedies = "(fly higher, give its height, or set [buildings] highest_m)"
+        assert reason == f"a roof of guessed height that may reach 35 m {remedies}"
     endless = ju.Constraints().reasons(street(np.inf).maps, 60.0, (60, 60))
-    assert endless == ["a roof of guessed height that may reach any height (give its height)"]
+    assert endless == [
+        "a roof of guessed height that may reach any height (give its height, or set [buildings] highest_m)"
+    ]
     mast = ju.Constraints(clearance_m=12.0).reasons(scene.maps, 40.0, (60, 82))
     assert mast == [
         "the clearance of 12 m and the vertical clearance of 3 m that is kept from obstacles and the border"
