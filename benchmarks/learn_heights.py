@@ -1,18 +1,20 @@
 """What known heights of several cities say of unknown ones, and how well: ``python -m benchmarks.learn_heights``.
 
-The first table is `jaxurban.io.learned.PACKAGED`. The second leaves one city out: by how much the guess of the
-others misses its known heights, those by the number of levels among them (the median of guess less true and the mean of
-its size, in metres), beside its own guess and a constant. The third does so too: how many of its given heights keep
-below what the others say, with the interval of Clopper and Pearson (95 %), and the median of likely less true. The next
-is of objects whose height OpenStreetMap does not know and an official table does. The last is of the bound: how many
-given heights of classes that have one, as they have where a file knows no height, are above it. Files are those of
-``JAXURBAN_DATA`` (else ``../shared/data``) and of ``formats/given`` beside it.
+The first table is `jaxurban.io.learned.PACKAGED`, with the guesses where few buildings stand. The second leaves one
+city out: by how much the guess of the others misses its known heights, those by the number of levels among them (the
+share of true heights below it, the median of guess less true and the mean of its size, in metres), beside its own guess
+and a constant. The third does so too: how many of its given heights keep below what the others say, with the interval
+of Clopper and Pearson (95 %), and the median of likely less true. The next is of objects whose height OpenStreetMap
+does not know and an official table does. The last is of the bound: how many given heights of classes that have one, as
+they have where a file knows no height, are above it. Files are those of ``JAXURBAN_DATA`` (else ``../shared/data``) and
+of ``formats/given`` beside it.
 """
 
 import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pandas as pd
@@ -21,7 +23,7 @@ from scipy.stats import beta
 
 import jaxurban as ju
 from benchmarks.common import table
-from jaxurban.cities import buildings as reader
+from jaxurban.cities import buildings, structures
 from jaxurban.cities.city import lonlat_extent, read_buildings
 from jaxurban.cities.kinds import LIMIT_M
 from jaxurban.io.city import City
@@ -29,9 +31,12 @@ from jaxurban.io.learned import (
     CLASSES,
     IN_NONE,
     LIKELY_SHARE,
+    OPEN_SHARE,
     PART_CLASSES,
     PARTS,
+    built_shares,
     classes_of,
+    learned_from,
     likely_of,
 )
 from jaxurban.world.footprints import Footprints, HeightOrigin
@@ -60,6 +65,7 @@ NOT_LEARNED = ("Zurich, solids of parts",)  # whose outlines are parts of roofs
 OSM = ju.Buildings(DATA / "osm/murray-hill.osm.pbf")
 LEAST_KNOWN = 20  # of a class of a city that counts
 CONSTANT_M = 10.0  # of a guess that knows no classes
+IN_OPEN = ", where few stand"
 SAME_SHARE = 0.5  # of an outline that another one of the same building covers
 
 
@@ -69,29 +75,38 @@ def _read(file: ju.Buildings) -> City:
 
 
 def known_of(file: ju.Buildings) -> pd.DataFrame:
-    """Return the class of each whole outline of a file, its given height (NaN without), and that with its levels."""
-    seen: list[tuple[np.ndarray, ...]] = []
-    learn = reader.learned_from
+    """Return the class of each whole outline of a file, its given height (NaN without), and that with its levels.
+
+    The place is the class too, of whole buildings with whether few stand around.
+    """
+    seen: list[pd.DataFrame] = []
+    shares: list[np.ndarray] = []
 
     def spy(classes: np.ndarray, given_m: np.ndarray, counted_m: np.ndarray) -> Mapping:
         """Note what is learned from."""
-        seen.append((classes, given_m, counted_m))
-        return learn(classes, given_m, counted_m)
+        seen.append(pd.DataFrame({"class": classes, "height_m": given_m, "counted_m": counted_m}))
+        return learned_from(classes, given_m, counted_m)
 
-    reader.learned_from = spy
-    try:
+    def share_spy(polygons: np.ndarray) -> np.ndarray:
+        """Note how built-up the places are."""
+        shares.append(built_shares(polygons))
+        return shares[-1]
+
+    with (
+        patch.object(buildings, "learned_from", spy),
+        patch.object(structures, "learned_from", spy),
+        patch.object(buildings, "built_shares", share_spy),
+    ):
         _read(file)
-    finally:
-        reader.learned_from = learn
-    rows = pd.concat(
-        [
-            pd.DataFrame({"class": classes, "height_m": given_m, "counted_m": counted_m})
-            for classes, given_m, counted_m in seen
-        ]
-    )
+    (own, others), (share,) = seen, shares
+    is_open = (share < OPEN_SHARE) & own["class"].isin(CLASSES)
+    own["place"] = own["class"] + np.where(is_open, IN_OPEN, "")
+    rows = pd.concat([own, others.assign(place=others["class"])])
     is_part = rows["class"].isin(PART_CLASSES)
     in_none = PARTS + IN_NONE
-    parts = rows[is_part].assign(**{"class": in_none})  # which may be of any building
+    parts = rows[is_part].assign(
+        **{"class": in_none, "place": in_none}
+    )  # which may be of any building
     rows = pd.concat([rows[rows["class"] != in_none], parts])
     return rows[rows["counted_m"] > 0].replace({"height_m": {0.0: np.nan}})
 
@@ -107,9 +122,9 @@ def likely_by_class(known: pd.DataFrame) -> pd.Series:
 
 
 def guess_by_class(known: pd.DataFrame) -> pd.Series:
-    """Return the median of the medians of several cities, by class; of parts of which no city knows any of wholes."""
-    by_city = known.groupby(["class", "city"])["counted_m"]
-    guesses = by_city.median()[by_city.size() >= LEAST_KNOWN].groupby("class").median()
+    """Return the median of the medians of several cities, by place; of parts of which no city knows any of wholes."""
+    by_city = known.groupby(["place", "city"])["counted_m"]
+    guesses = by_city.median()[by_city.size() >= LEAST_KNOWN].groupby("place").median()
     wholes = guesses.reindex(CLASSES).set_axis(PARTS + CLASSES)
     return guesses.combine_first(wholes.dropna())
 
@@ -120,6 +135,7 @@ def missed(true_m: np.ndarray, guess_m: float) -> dict[str, object]:
     guesses = {"others": guess_m, "own": float(np.median(true_m)), "constant": CONSTANT_M}
     for name, of_m in guesses.items():
         row[f"{name}, m"] = f"{of_m:.1f}"
+        row[f"{name}, true below"] = f"{np.mean(true_m < of_m):.0%}"
         row[f"{name} less true"] = f"{np.median(of_m - true_m):.1f}"
         row[f"{name}, mean miss"] = f"{abs(of_m - true_m).mean():.1f}"
     return row
@@ -191,15 +207,20 @@ def main() -> None:
     packaged["tree"], guesses["tree"] = likely_of(trees.to_numpy()), trees.median()
     _print(
         [
-            {"class": name, "guess_m": round(guesses[name], 1), "likely_m": round(m, 1)}
+            {
+                "class": name,
+                "guess_m": round(guesses[name], 1),
+                "where few stand": guesses.round(1).get(name + IN_OPEN, ""),
+                "likely_m": round(m, 1),
+            }
             for name, m in packaged.items()
         ]
     )
     rows = []
-    for (city, name), own in known.groupby(["city", "class"]):
+    for (city, name), own in known.groupby(["city", "place"]):
         others = guess_by_class(learned[learned["city"] != city])
         if len(own) >= LEAST_KNOWN and name in others:
-            row = {"city left out": city, "class": name}
+            row = {"city left out": city, "place": name}
             rows.append(row | missed(own["counted_m"].to_numpy(), float(others[name])))
     _print(rows)
     rows = []

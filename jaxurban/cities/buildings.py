@@ -26,8 +26,10 @@ from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.learned import (
     IN_NONE,
+    OPEN_SHARE,
     PARTS,
     Learned,
+    built_shares,
     classes_of,
     learned_from,
     of_classes,
@@ -180,7 +182,10 @@ def _buildings(
     classes = _classes(found.polygons, is_part, is_deck)
     learned, highest_m = _learned(buildings, found, parts, classes, learns)
     if file.default_height_m is None:
-        buildings = _with_guesses(buildings, found, of_classes(learned, classes, "guess_m"))
+        is_open = built_shares(found.polygons) < OPEN_SHARE
+        in_open_m = of_classes(learned, classes, "open_guess_m")
+        guess_m = np.where(is_open, in_open_m, of_classes(learned, classes, "guess_m"))
+        buildings = _with_guesses(buildings, found, guess_m)
     buildings, of_parts = _with_outline_heights(buildings, parts)
     is_replaced = parts.share >= REPLACED_SHARE
     issues |= of_parts | {ReadIssue.OUTLINES_REPLACED_BY_PARTS: int(np.sum(is_replaced))}

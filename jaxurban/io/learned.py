@@ -9,8 +9,11 @@ route: of 50 unknown ones one exceeds its own with up to 39 %. Known heights are
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
+import pandas as pd
+import shapely
 
 CLASSES_M2 = 60.0, 200.0, 1000.0  # of footprints, between classes
 PARTS = "parts of "  # and the class of what they lie in or touch
@@ -22,17 +25,21 @@ LEAST_KNOWN = 299  # so many known heights are 95 % sure of 99 %
 # and the highest of what each says, as one unlike these may be denser; likely of parts is no less than of what they lie
 # in. Of trees it is what all of them say together.
 PACKAGED = {
-    "buildings below 60 m2": (4.6, 25.0),
-    "buildings of 60 to 200 m2": (9.2, 40.4),
-    "buildings of 200 to 1,000 m2": (16.5, 145.4),
-    "buildings above 1,000 m2": (33.0, 427.0),
-    "parts of buildings below 60 m2": (4.6, 25.0),
+    "buildings below 60 m2": (8.7, 25.0),
+    "buildings of 60 to 200 m2": (15.8, 40.4),
+    "buildings of 200 to 1,000 m2": (18.0, 145.4),
+    "buildings above 1,000 m2": (38.6, 427.0),
+    "parts of buildings below 60 m2": (8.7, 25.0),
     "parts of buildings of 60 to 200 m2": (14.1, 83.3),
     "parts of buildings of 200 to 1,000 m2": (30.0, 192.0),
     "parts of buildings above 1,000 m2": (41.0, 427.0),
     "parts of no building": (35.5, 427.0),
     "tree": (7.0, 20.0),
 }
+# And where few buildings stand: where they cover less than `OPEN_SHARE` of the ground around (`built_shares`).
+OPEN_GUESSES_M = dict(zip([*PACKAGED][:4], (4.2, 6.4, 6.8, 18.9), strict=True))
+OPEN_SHARE = 0.2
+CELL_M = 80.0  # whose 5 x 5 around a building are as large as a disc of 225 m
 CLASSES = np.array([*PACKAGED][:4], object)
 PART_CLASSES = np.array([*PACKAGED][4:9], object)
 
@@ -43,6 +50,7 @@ class Learned:
 
     Attributes:
       guess_m: with what they stand in maps.
+      open_guess_m: the same where few buildings stand.
       likely_m: what 99 % keep below; None where nothing says.
       highest_m: the highest that the file knows, 0 without one.
       num_for_guess, num_known: how many heights of the file say the guess, and what is likely; 0: the packaged table
@@ -50,6 +58,7 @@ class Learned:
     """
 
     guess_m: float
+    open_guess_m: float
     likely_m: float | None
     highest_m: float
     num_for_guess: int
@@ -57,12 +66,27 @@ class Learned:
 
     def __str__(self) -> str:
         known = f"{self.num_for_guess:,} known" if self.num_for_guess else "the packaged table"
-        return f"{self.guess_m:.3g} m of {known}"
+        is_same = self.open_guess_m == self.guess_m
+        where_open = "" if is_same else f" ({self.open_guess_m:.3g} m where few buildings stand)"
+        return f"{self.guess_m:.3g} m of {known}{where_open}"
 
 
 def classes_of(area_m2: np.ndarray) -> np.ndarray:
     """Return the class of buildings, ``[N]`` objects, by the areas of their outlines."""
     return CLASSES[np.searchsorted(CLASSES_M2, area_m2, side="right")]
+
+
+def built_shares(polygons: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` the share of the ground around each building that buildings cover: of 5 x 5 cells, by centres."""
+    centre_m = shapely.get_coordinates(shapely.centroid(polygons))
+    cells = pd.DataFrame(np.floor(centre_m / CELL_M), columns=["x", "y"])
+    built_m2 = pd.Series(shapely.area(polygons)).groupby([cells["x"], cells["y"]]).sum()
+    around_m2 = pd.Series(0.0, built_m2.index)
+    column, row = (built_m2.index.get_level_values(name) for name in cells)
+    for x, y in product(range(-2, 3), repeat=2):
+        beside = pd.MultiIndex.from_arrays([column + x, row + y])
+        around_m2 += built_m2.reindex(beside, fill_value=0.0).to_numpy()
+    return around_m2.reindex(pd.MultiIndex.from_frame(cells)).to_numpy() / (5 * CELL_M) ** 2
 
 
 def likely_of(known_m: np.ndarray) -> float:
@@ -87,9 +111,11 @@ def learned_from(
             heights_m[(classes == name) & (heights_m > 0)] for heights_m in (given_m, counted_m)
         )
         guess_m, likely_m = PACKAGED.get(name, (None, None))
+        open_m = OPEN_GUESSES_M.get(name, guess_m)
         num_for_guess = num_known = 0
         if len(counted) >= LEAST_FOR_GUESS:
             guess_m, num_for_guess = float(np.median(counted)), len(counted)
+            open_m = guess_m
         if len(given) >= LEAST_KNOWN:
             likely_m, num_known = likely_of(given), len(given)
         if guess_m is None:
@@ -97,7 +123,7 @@ def learned_from(
         if likely_m is not None:
             likely_m = max(likely_m, guess_m)
         highest_m = float(given.max(initial=0.0))
-        learned[name] = Learned(guess_m, likely_m, highest_m, num_for_guess, num_known)
+        learned[name] = Learned(guess_m, open_m, likely_m, highest_m, num_for_guess, num_known)
     return learned
 
 

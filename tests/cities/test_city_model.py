@@ -281,7 +281,7 @@ def test_a_footprint_has_the_measured_height_or_levels(tmp_path):
     for values, height_m, origin in (
         ({"measuredHeight": 14.5, "storeysAboveGround": 2}, 14.5, HeightOrigin.HEIGHT),
         ({"storeysAboveGround": 4}, 12, HeightOrigin.LEVELS),
-        ({"measuredHeight": -9999}, 9.2, HeightOrigin.DEFAULT),
+        ({"measuredHeight": -9999}, 6.4, HeightOrigin.DEFAULT),
     ):
         buildings, _, _ = stand(written(tmp_path / "a.gml", citygml(thing(plan, **values))))
         assert (buildings.height_m[0], buildings.origin[0]) == (height_m, origin)

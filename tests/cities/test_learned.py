@@ -15,8 +15,10 @@ from jaxurban.cities.outlines import Outlines
 from jaxurban.io.learned import (
     LEAST_FOR_GUESS,
     LEAST_KNOWN,
+    OPEN_GUESSES_M,
     PACKAGED,
     PART_CLASSES,
+    built_shares,
     classes_of,
     learned_from,
     likely_of,
@@ -78,9 +80,9 @@ def test_guess_is_the_median_of_the_file_where_that_knows_enough(tmp_path, num):
     city = read_buildings(ju.Buildings(path), UTM)
     is_own = num == LEAST_FOR_GUESS
     known_m = np.fmax(np.nan_to_num(heights_m[:num]), 3 * np.nan_to_num(levels))
-    guess_m = np.median(known_m) if is_own else PACKAGED[SMALL][0]
+    guess_m = np.median(known_m) if is_own else OPEN_GUESSES_M[SMALL]
     learned = city.learned[SMALL]
-    assert (learned.guess_m, learned.num_for_guess) == (guess_m, num * is_own)
+    assert (learned.open_guess_m, learned.num_for_guess) == (guess_m, num * is_own)
     house, garage = np.flatnonzero(city.buildings.origin == HeightOrigin.DEFAULT)
     buildings = city.buildings
     assert buildings.height_m[house] == guess_m
@@ -107,13 +109,34 @@ def test_guess_of_each_class_and_of_trees_is_packaged_where_the_file_knows_few()
         return to_buildings(ju.Buildings("town.osm"), given, UTM)
 
     buildings, structures, *_, learned = read(LEAST_FOR_GUESS - 1)
-    assert buildings.height_m.tolist() == [PACKAGED[name][0] for name in list(PACKAGED)[:4]]
+    assert buildings.height_m.tolist() == [*OPEN_GUESSES_M.values()]
     assert structures.height_m[-1] == PACKAGED["tree"][0]
     _, structures, *_, learned = read(LEAST_FOR_GUESS)
     assert (learned["tree"].guess_m, learned["tree"].num_for_guess) == (50, LEAST_FOR_GUESS)
     # Where half of the known ones are higher, the bound of 35 m is none.
     assert (structures.height_m[-1], structures.likely_upper_m[-1]) == (50, 50)
     assert structures.upper_m[-1] == np.inf
+
+
+def test_share_of_ground_that_is_built_is_that_of_five_by_five_cells():
+    rng = np.random.default_rng(3)
+    corner_m = rng.uniform(0, 2000, (300, 2))
+    boxes = shapely.box(*corner_m.T, *(corner_m + rng.uniform(5, 60, (300, 2))).T)
+    cell = np.floor(shapely.get_coordinates(shapely.centroid(boxes)) / 80)
+    for own, share in zip(cell, built_shares(boxes), strict=True):
+        is_near = (abs(cell - own) <= 2).all(axis=1)
+        assert share == pytest.approx(shapely.area(boxes[is_near]).sum() / 400**2)
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "guess_m"), [(15.0, PACKAGED[SMALL][0]), (60.0, OPEN_GUESSES_M[SMALL])]
+)
+def test_guess_is_higher_where_the_ground_is_built_up(gap_m, guess_m):
+    x_m, y_m = (each.ravel() * gap_m for each in np.mgrid[:30, :30])
+    tags = {"building": np.full(900, "yes", object)}
+    town = Outlines(shapely.box(x_m, y_m, x_m + 10, y_m + 10), tags, UTM, (), {})
+    buildings = to_buildings(ju.Buildings("town.osm"), town, UTM).buildings
+    assert buildings.height_m[465] == guess_m
 
 
 def test_classes_begin_at_their_areas():
@@ -142,7 +165,7 @@ def test_a_large_file_says_nothing_of_its_parts_and_of_the_whole(tmp_path, monke
     for bounds_m in (None, (580_000, 4_500_000, 600_000, 4_500_010)):
         town = read_buildings(ju.Buildings(path), UTM, bounds_m=bounds_m)
         (guess_m,) = town.buildings.height_m[town.buildings.is_guessed]
-        assert guess_m == PACKAGED[SMALL][0]
+        assert guess_m == OPEN_GUESSES_M[SMALL]
         assert town.learned[SMALL].num_for_guess == 0
 
 
@@ -151,7 +174,7 @@ def test_guess_is_said_with_its_value_and_how_many_heights_say_it(tmp_path):
     large, unknown_m = houses(1, np.nan, 40.0)
     large = [shapely.transform(large[0], lambda xy: xy + np.array([0, 500]))]
     path = write_vector(tmp_path / "town.gpkg", shapes + large, height=heights_m + unknown_m)
-    said = "2 by the median of their class: .*60 to 200 m2 8 m of 30 known; .*above 1,000 m2 33 m of the pack"
+    said = "2 by the median of their class: .*60 to 200 m2 8 m of 30 known; .*above 1,000 m2 38.6 m of the pack"
     with pytest.warns(ju.GuessWarning, match=said):
         ju.City.from_files(path)
     with pytest.warns(ju.GuessWarning, match="2 by the default of 12 m"):
