@@ -22,7 +22,7 @@ from itertools import pairwise
 from xml.etree.ElementTree import Element
 from zipfile import ZipFile
 
-from jaxurban.flights.missions.flight import LAND, RETURN, TAKEOFF, WAYPOINT, FlownItems, Item
+from jaxurban.flights.missions.flight import LAND, RETURN, TAKEOFF, WAYPOINT, Item
 from jaxurban.flights.missions.items import home_of, mission_of
 from jaxurban.flights.missions.lines import point_of, tag_of, text_of, words_of, xml_root
 from jaxurban.flights.missions.parts import (
@@ -136,8 +136,7 @@ def read_wpml(
     start = home_of(home, lon, lat, math.nan)
     if math.isnan(return_altitude_m):
         return_altitude_m = decimal_of("a height", said("globalRTHHeight"))
-    flown = FlownItems(items, start[0], return_altitude_m, "dji")
-    return mission_of(name, flown, num_things, start, notes, math.nan)
+    return mission_of(name, items, num_things, start, notes, "dji", return_altitude_m)
 
 
 def _waypoint(element: Element, number: int, mode: str) -> Item:

@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from jaxurban.flights.missions.parts import (
-    BOTH,
     CORNER_M,
     ENDS_IN_AIR,
     GEOD,
@@ -25,7 +24,6 @@ from jaxurban.flights.missions.parts import (
     Place,
     Profile,
 )
-from jaxurban.public import listed
 
 WAYPOINT = 16
 RETURN = 20
@@ -73,12 +71,6 @@ FRAMES: dict[int, Datum] = {
     10: "ground",
     11: "ground",
 }
-# FeasibilityChecker.cpp (checkHorizontalDistanceToFirstWaypoint; up to 1.13 MIS_DIST_WPS, too) and mission_base.cpp
-# (do_need_move_to_item) of PX4, and its issue 18239.
-ZERO_PLACE = (
-    "PX4 takes 0, 0 for a place, and refuses the mission or flies there; here items that have it ({}) stay where the "
-    "vehicle is."
-)
 MOST_FLOWN = 1_000_000  # after so many flown items, repeated ones counted too, jumps are not followed any more
 # So near to a circle's centre, as a share of its radius and in metres, ArduPilot begins the circle in the direction in
 # which it is headed.
@@ -178,7 +170,6 @@ class FlownItems:
       legs: the legs in the order flown, each once.
       not_judged: a sentence for each thing that the legs leave out, or may not show as it is flown.
       notes: sentences on what to know of it, such as that it ends in the air.
-      other: the same as PX4 flies it, if the autopilot is not known, and ArduPilot flies this; else None.
       speed_m_s: the first speed that an item sets; None if no item sets one.
       accounts: what became of each item.
       autopilot, return_altitude_m: by which it is flown; see `Mission`.
@@ -189,7 +180,7 @@ class FlownItems:
         items: Sequence[Item],
         home: LonLat | None,
         return_altitude_m: float,
-        autopilot: Autopilot = "unknown",
+        autopilot: Autopilot,
     ) -> None:
         """Fly all items.
 
@@ -197,7 +188,7 @@ class FlownItems:
           items: the items in the order of the file.
           home: longitude and latitude in degrees; None if home is not known.
           return_altitude_m: metres above home; NaN if the return altitude is not known.
-          autopilot: which autopilot flies the items.
+          autopilot: which one flies the items.
         """
         self.legs: list[Leg] = []
         self.not_judged: list[str] = []
@@ -205,9 +196,6 @@ class FlownItems:
         self.speed_m_s: float | None = None
         self._items = items
         self.autopilot = autopilot
-        is_open = autopilot == "unknown"
-        self._flyer = BOTH[0] if is_open else autopilot
-        self.other = FlownItems(items, home, return_altitude_m, BOTH[1]) if is_open else None
         self.return_altitude_m = return_altitude_m
         self._state = State(home, home and Place(*home, 0.0, "ground"))
         self._after: dict[
@@ -222,10 +210,6 @@ class FlownItems:
         if self._state.at and not self._why_ended:
             last = self.legs[-1].item if self.legs else self._number
             self.notes.append(ENDS_IN_AIR.format("item", last))
-        placed = [item for item in items if item.command in PLACED]
-        zeros = [str(item.number) for item in placed if (item.lon, item.lat) == (0, 0)]
-        if zeros and autopilot in ("px4", "unknown"):
-            self.notes.append(ZERO_PLACE.format(listed(zeros)))
 
     def _run(self) -> None:
         """Fly all items and their jumps, until the last one.
@@ -280,7 +264,7 @@ class FlownItems:
         """Return whether the vehicle stays at an item for good, and say so."""
         if item.command == LOITER_UNLIM:
             self._end(item, "circles without end")
-        elif not item.goes_on and self._flyer != "ardupilot":
+        elif not item.goes_on and self.autopilot != "ardupilot":
             self._end(item, "does not go on by itself (autoContinue)")
         return bool(self._why_ended)
 
@@ -315,6 +299,13 @@ class FlownItems:
         if command in OF_AEROPLANES:
             self._say(
                 f"item {item.number} is flown as an aeroplane, whose turns and glide path are not judged"
+            )
+        # FeasibilityChecker.cpp (checkHorizontalDistanceToFirstWaypoint; up to 1.13 MIS_DIST_WPS, too) and
+        # mission_base.cpp (do_need_move_to_item) of PX4, and its issue 18239.
+        if self.autopilot == "px4" and command in PLACED and (item.lon, item.lat) == (0, 0):
+            self._say(
+                f"item {item.number} is judged where the vehicle is, and PX4 takes its 0, 0 for a place, refuses the "
+                "mission or flies there: give it a place"
             )
         leads_somewhere = command in HAS_HEIGHT or (command in LANDINGS and item.has_coordinates)
         if leads_somewhere and item.datum is None:
@@ -405,7 +396,7 @@ class FlownItems:
                     f"item {item.number} keeps its height, and whether above the ground or level is not known"
                 )
             return at._replace(lon=lon, lat=lat)
-        if at and item.height_m == 0 and self._flyer == "ardupilot":
+        if at and item.height_m == 0 and self.autopilot == "ardupilot":
             return _kept(at, lon, lat, item.datum)
         datum = item.datum or "home"
         is_open = self._state.has_moved_home and datum == "home"
@@ -420,7 +411,7 @@ class FlownItems:
             return CORNER_M
         if item.params[0] > 0:
             return 0.0
-        return CORNER_M if self._flyer == "ardupilot" else max(CORNER_M, item.params[1])
+        return CORNER_M if self.autopilot == "ardupilot" else max(CORNER_M, item.params[1])
 
     def _fly_to(
         self,
@@ -461,7 +452,7 @@ class FlownItems:
         The climb begins where the vehicle is, else on the ground where it stands; where neither is known, it only flies
         to the item. Drones of DJI climb at least to a height above home, the first parameter, and fly level.
         """
-        if self._flyer == "ardupilot":
+        if self.autopilot == "ardupilot":
             item = item._replace(lon=0.0, lat=0.0)
         start = self._state.at or self._state.ground
         if start is None:
@@ -469,7 +460,7 @@ class FlownItems:
             return
         above = self._place_of(item._replace(lon=start.lon, lat=start.lat)) or start
         place = None
-        if self._flyer == "dji":
+        if self.autopilot == "dji":
             above = Place(start.lon, start.lat, item.params[0], "home", level_with=above)
             place = above._replace(lon=item.lon, lat=item.lat)
         self._state = self._state._replace(at=start)
@@ -489,13 +480,13 @@ class FlownItems:
         # Negative radii circle the other way; NaN becomes 0, too.
         radius_m = max(0.0, abs(item.params[LOITERS[item.command]]))
         is_turns = item.command == LOITER_TURNS
-        has_edge = is_turns and radius_m > 0 and self._flyer == "ardupilot"
+        has_edge = is_turns and radius_m > 0 and self.autopilot == "ardupilot"
         edge = None
         at = self._state.at
         if has_edge and at and not 0 < item.params[0] < 1:
             edge = _edge(at, centre, radius_m)
         begin = edge or centre
-        if item.command == LOITER_TO_ALT and at and self._flyer == "px4":  # climbs there
+        if item.command == LOITER_TO_ALT and at and self.autopilot == "px4":  # climbs there
             self._fly_to(item, _kept(at, centre.lon, centre.lat, "geoid"))
         self._fly_to(item, begin)
         self.legs.append(Leg(begin, centre, "loiter", item.number, radius_m))
@@ -522,7 +513,7 @@ class FlownItems:
             return
         if item.has_place:
             # PX4 flies level; ArduPilot in the frame of the item, so that it may follow the ground.
-            datum = "geoid" if self._flyer == "px4" else item.datum
+            datum = "geoid" if self.autopilot == "px4" else item.datum
             at = _kept(at, item.lon, item.lat, datum)
             self._fly_to(item, at)
         ground = Place(at.lon, at.lat, 0.0, "ground")
@@ -543,7 +534,7 @@ class FlownItems:
             return
         ground = Place(*home, 0.0, "ground")
         _, _, apart_m = GEOD.inv(at.lon, at.lat, *home)
-        heights_m = levels_m(self._flyer, apart_m, self.return_altitude_m)
+        heights_m = levels_m(self.autopilot, apart_m, self.return_altitude_m)
         for level_m in heights_m:
             is_variant = level_m < heights_m[-1]
             # It rises first, or stays as high as it is where that is more, then flies home level. Where the height is

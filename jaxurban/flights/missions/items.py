@@ -28,6 +28,7 @@ from jaxurban.flights.missions.parts import (
     check_place,
     decimal_of,
     first_sentences,
+    flyers,
     json_of,
     number_of,
     one_value,
@@ -144,8 +145,10 @@ def read_plan(
         )
     speed_m_s = number_of("its speed", mission.get(speed))
 
-    flown = FlownItems(items, start[0], return_altitude_m, flown_by)
-    return replace(mission_of(name, flown, len(rows), start, notes, speed_m_s), zones=zones)
+    mission = mission_of(
+        name, items, len(rows), start, notes, flown_by, return_altitude_m, speed_m_s
+    )
+    return replace(mission, zones=zones)
 
 
 def read_waypoints(
@@ -197,8 +200,8 @@ def read_waypoints(
     notes = [] if is_ordered else ["its rows are not numbered in their order, so jumps may differ"]
     numbered = [item._replace(number=number) for number, item in enumerate(items, 1)]
 
-    flown = FlownItems(numbered, start[0], return_altitude_m, autopilot or "unknown")
-    return mission_of(name, flown, num_rows, start, notes, speed_m_s=math.nan)
+    flown_by = autopilot or "unknown"
+    return mission_of(name, numbered, num_rows, start, notes, flown_by, return_altitude_m)
 
 
 def flyer_of(name: str, named: Autopilot, asked: FlownBy | None) -> Autopilot:
@@ -218,48 +221,53 @@ def flyer_of(name: str, named: Autopilot, asked: FlownBy | None) -> Autopilot:
 
 def mission_of(
     name: str,
-    flown: FlownItems,
+    items: Sequence[Item],
     num_rows: int,
     start: Home,
     notes: Sequence[str],
-    speed_m_s: float,
+    autopilot: Autopilot,
+    return_altitude_m: float,
+    speed_m_s: float = math.nan,
 ) -> Mission:
-    """Return the mission of items as they are flown.
+    """Return the mission of items as they are flown, by each autopilot that may fly them.
 
     Args:
       name: of the file.
-      flown: the items.
+      items: in the order of the file.
       num_rows: how many items the file holds, counted apart from them.
       start: home and its elevation.
       notes: sentences on what else of the file is not judged.
+      autopilot, return_altitude_m: as of `Mission`.
       speed_m_s: that the file plans with where no item sets a speed; NaN or 0 where it has none.
 
     Raises:
       InputError: there is no item, or none that leads anywhere.
     """
-    if not flown.accounts:
+    if not items:
         raise InputError(f"{name!r} holds no items: give a mission that has some")
-    sentences = first_sentences([*flown.not_judged, *notes])
-    if not flown.legs and not sentences:
-        raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
-    planned_m_s = speed_m_s if speed_m_s > 0 else None
-    other = None
-    if flown.other and (flown.other.legs, flown.other.not_judged) != (flown.legs, flown.not_judged):
-        other = mission_of(name, flown.other, num_rows, start, notes, speed_m_s)
-        other = replace(other, autopilot="unknown")
-    return Mission(
-        name,
-        tuple(flown.legs),
-        *start,
-        sentences,
-        flown.speed_m_s or planned_m_s,
-        accounts=tuple(flown.accounts),
-        num_things=num_rows,
-        autopilot=flown.autopilot,
-        return_altitude_m=flown.return_altitude_m,
-        notes=tuple(flown.notes),
-        other=other,
-    )
+    missions = []
+    for flyer in flyers(autopilot):
+        flown = FlownItems(items, start[0], return_altitude_m, flyer)
+        sentences = first_sentences([*flown.not_judged, *notes])
+        if not flown.legs and not sentences:
+            raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
+        planned_m_s = speed_m_s if speed_m_s > 0 else None
+        mission = Mission(
+            name,
+            tuple(flown.legs),
+            *start,
+            sentences,
+            flown.speed_m_s or planned_m_s,
+            accounts=tuple(flown.accounts),
+            num_things=num_rows,
+            autopilot=autopilot,
+            return_altitude_m=return_altitude_m,
+            notes=tuple(flown.notes),
+        )
+        missions.append(mission)
+    first, last = missions[0], missions[-1]
+    is_one_way = (first.legs, first.not_judged) == (last.legs, last.not_judged)
+    return first if is_one_way else replace(first, other=last)
 
 
 def _check_jumps(items: Sequence[Item], what: str) -> None:

@@ -142,15 +142,20 @@ class Mission:
         return {BOTH[0]: self, BOTH[1]: self.other} if self.other else {"": self}
 
     @property
-    def autopilots(self) -> tuple[str, ...]:
+    def autopilots(self) -> tuple[Autopilot, ...]:
         """Those for which it is judged."""
-        return BOTH if self.autopilot == "unknown" else (self.autopilot,)
+        return flyers(self.autopilot)
 
     @property
     def num_lost(self) -> int:
         """How many things of the file are in no account, or in one that names neither a leg nor a reason."""
         sound = [each.num for each in self.accounts if each.why or each.legs]
         return abs(self.num_things - sum(sound))
+
+
+def flyers(autopilot: Autopilot) -> tuple[Autopilot, ...]:
+    """Return those that may fly a mission: both where it is not known."""
+    return BOTH if autopilot == "unknown" else (autopilot,)
 
 
 def json_of(data: bytes) -> Any:
