@@ -352,8 +352,8 @@ def _place(name: str, frame: gpd.GeoDataFrame, kind: str, crs: str | None) -> No
     if frame.crs is None and not frame.attrs.get(SAYS_CRS, kind != ".csv"):
         frame.set_crs(WGS84, inplace=True)
         warn(
-            f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326); set "
-            "[buildings] crs if they are others",
+            f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326); convert "
+            "others with `ogr2ogr -s_srs EPSG:... -t_srs EPSG:4326 OUT IN`, or set [buildings] crs of buildings",
             GuessWarning,
         )
     for column in frame.columns.difference([frame.geometry.name]):

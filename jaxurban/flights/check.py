@@ -124,13 +124,13 @@ def check(
         not_negative(name, value)
     if max_people is not None:
         not_negative("max_people", max_people, "people")
-    if geoid_m is not None:
-        finite("geoid_m", geoid_m)
     if isinstance(mission, PlannedPath):
         constraints = constraints or constraints_of(mission)
     of_file: dict[str, Any] = {"heights": heights, "home": home, "autopilot": autopilot}
     of_file["return_altitude_m"] = return_altitude_m
     mission = _mission_of(mission, values_given(of_file), home_above_ground_m)
+    if geoid_m is not None:
+        _check_geoid(mission, geoid_m)
     named_times = () if time is None else as_tuple(time)
     times: list[str | None] = [iso_utc(text) for text in named_times] or [None]
 
@@ -277,6 +277,16 @@ def _mission_of(
         )
     above_m = not_negative("home_above_ground_m", home_above_ground_m)
     return replace(mission, home_above_ground_m=above_m)
+
+
+def _check_geoid(mission: Mission, geoid_m: float) -> None:
+    """Raise InputError where the geoid's height is no number, or no leg has a height above the ellipsoid."""
+    finite("geoid_m", geoid_m)
+    datums = {place.datum for leg in mission.legs for place in (leg.start, leg.end)}
+    if "ellipsoid" not in datums:
+        raise InputError(
+            f"{mission.name!r} has no height above the ellipsoid: leave geoid_m (--heights geoid_m=) out"
+        )
 
 
 def _in_the_air(path: PlannedPath) -> Mission:

@@ -138,14 +138,18 @@ def check_rows(source: Path | io.BytesIO, name: str) -> int:
     if num == 1 and re.search(r"[;\t]", header[0]):
         return num
     for row in rows:
-        is_note = len(row) == 1 and " " in row[0]
         has_more = "".join(row[num:]).strip()
-        if num > 1 and (has_more or (len(row) < num and not is_note)):
+        if num > 1 and (has_more or (len(row) < num and not is_note(row))):
             raise InputError(
                 f"line {reader.line_num} of {name!r} and its header differ in their number of values, {len(row)} and "
                 f"{num}: mend that line, or remove it"
             )
     return num
+
+
+def is_note(row: Sequence[str]) -> bool:
+    """Return whether a row of a CSV file is a note: one value of several words."""
+    return len(row) == 1 and " " in row[0]
 
 
 def _check_width(num: int, name: str) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
+from jaxurban.errors import speaking
 from jaxurban.flights.missions.mission import read_mission
 from tests.cli_runs import run
 from tests.flights.missions import files
@@ -171,6 +172,19 @@ def test_an_autopilot_other_than_the_one_that_the_file_names_is_refused(tmp_path
     mission = read_mission(tmp_path / "m.plan")
     with pytest.raises(ju.InputError, match="autopilot are of a file"):
         ju.check(scene.maps, mission, autopilot="px4")
+
+
+def test_what_a_file_says_already_is_left_out_by_the_name_of_the_door(tmp_path):
+    scene = world((300.0, 500.0, 5.0, 5.0))
+    (tmp_path / "m.plan").write_text(scene.plan(to(300, 300), firmware=3))
+    for options, option in (
+        ({"autopilot": "px4"}, "--autopilot"),
+        ({"heights": "home"}, "--heights"),
+    ):
+        with speaking("scenario"), pytest.raises(ju.InputError, match=rf"\({option}.*\) out$"):
+            read_mission(tmp_path / "m.plan", **options)
+        with pytest.raises(ju.InputError, match=r"leave [a-z]+='[a-z0-9]+' out$"):
+            read_mission(tmp_path / "m.plan", **options)
 
 
 def test_a_mission_that_both_fly_alike_is_judged_once(tmp_path):

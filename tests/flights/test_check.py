@@ -210,12 +210,13 @@ def random_mission(scene: Scene, rng: np.random.Generator) -> Mission:
 def checked(scene: Scene, mission, clearance_m=CLEARANCE_M, time=ON, **more):
     """Return the check of a mission over the scene."""
     limits = ju.Constraints(zones=(scene.zone,), clearance_m=clearance_m)
+    is_on_ellipsoid = any(leg.end.datum == "ellipsoid" for leg in getattr(mission, "legs", ()))
     return ju.check(
         scene.maps,
         mission,
         constraints=limits,
         sources=scene.city,
-        geoid_m=GEOID_M,
+        geoid_m=GEOID_M if is_on_ellipsoid else None,
         time=time,
         **more,
     )
@@ -332,6 +333,12 @@ def test_heights_whose_zero_nobody_names_are_not_judged(scene):
         "not-judged",
         True,
     )
+
+
+def test_a_geoid_for_a_mission_without_a_height_above_the_ellipsoid_is_refused(scene):
+    ends = [scene.place(20.0, y_m, 60.0, "geoid") for y_m in (20.0, 500.0)]
+    with pytest.raises(ju.InputError, match="no height above the ellipsoid: leave geoid_m out"):
+        ju.check(scene.maps, mission_of(*ends, home=ends[0]), sources=scene.city, geoid_m=5.0)
 
 
 def test_an_undulation_that_is_left_out_would_hide_the_ground(scene):

@@ -497,6 +497,13 @@ def test_a_line_is_climbed_to_from_the_home_that_is_named(read):
     assert mission.not_judged == ()
 
 
+def test_a_note_in_a_line_of_its_own_is_no_point_of_a_table(read):
+    noted = (
+        CSV.replace(f"\n{LAT},8.55", f"\nrepeated in the wind\n{LAT},8.55") + "End of the flight\n"
+    )
+    assert read(noted, "m.csv", heights="geoid").legs == read(CSV, "m.csv", heights="geoid").legs
+
+
 def test_tracks_and_lines_of_several_parts_are_read(read):
     coords = f"<gx:coord>{LON} {LAT} 40</gx:coord><gx:coord>8.55 {LAT} 45</gx:coord>"
     track = f"<gx:Track><altitudeMode>absolute</altitudeMode>{coords}</gx:Track>"

@@ -215,7 +215,8 @@ def flyer_of(name: str, named: Autopilot, asked: FlownBy | None) -> Autopilot:
     if named == "unknown":
         return asked
     raise InputError(
-        f"{name!r} is a mission for {AUTOPILOTS[named]}, by what it says itself: leave autopilot={asked!r} out"
+        f"{name!r} is a mission for {AUTOPILOTS[named]}, by what it says itself: "
+        f"leave autopilot={asked!r} (--autopilot) out"
     )
 
 

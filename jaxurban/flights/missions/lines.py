@@ -37,7 +37,7 @@ from jaxurban.flights.missions.parts import (
     one_value,
 )
 from jaxurban.io.routes import ALTITUDE_PROPERTY
-from jaxurban.io.tables import check_rows
+from jaxurban.io.tables import check_rows, is_note
 
 OWN = "jaxurban"  # what it calls itself as the creator of GPX
 OWN_HEIGHT = re.compile(r"(-?[\d.]+) m above ground")  # of its points there
@@ -272,7 +272,7 @@ def _datum(name: str, own: Datum | None, heights: Datum | None) -> Datum:
         )
     if heights and own not in (None, heights) and (own, heights) != ("geoid", "ellipsoid"):
         raise InputError(
-            f"{name!r} says that its heights are above the {own}: leave heights={heights!r} out"
+            f"{name!r} says that its heights are above the {own}: leave heights={heights!r} (--heights above=) out"
         )
     return datum
 
@@ -573,6 +573,7 @@ def _table_of(name: str, data: bytes) -> Table:
     if re.search(r"[;\t]", header[0]):
         raise DamagedError("commas must be between its values, and points in its numbers")
     check_rows(io.BytesIO(data), name)
+    rows = [row for row in rows if not is_note(row)]
     names = [re.sub(r"\.\d+$", "", UNIT.sub("", title.strip().lower())) for title in header]
     if CURVE in names:
         _check_filled(name, header, rows)

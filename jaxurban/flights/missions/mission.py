@@ -138,7 +138,8 @@ def read_mission(
             return replace(lines, return_altitude_m=return_m, autopilot=autopilot or "unknown")
         if heights is not None:
             raise InputError(
-                f"{path.name!r} says for each item what its height is above: leave heights={heights!r} out"
+                f"{path.name!r} says for each item what its height is above: "
+                f"leave heights={heights!r} (--heights above=) out"
             )
         if suffix == ".wpml":
             flyer_of(path.name, "dji", autopilot)
