@@ -17,7 +17,6 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +28,12 @@ import shapely
 from jaxurban import wings
 from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
-from jaxurban.flights.missions.lines import tag_of, xml_root
 from jaxurban.flights.missions.parts import GEOD
 from jaxurban.io.broken import BROKEN
 from jaxurban.io.sniff import sniff, unpacked
 from jaxurban.io.tables import is_blank
 from jaxurban.io.zone import TURN, Zone, made_valid
+from jaxurban.public import listed
 
 # Properties that are read, in any case and with or without "_", "-", " " and ":". All are metres above ground.
 FLOOR_NAMES = (
@@ -54,24 +53,14 @@ CEILING_NAMES = (
     "maxAltitude",
 )
 NAME_NAMES = ("name", "title", "designator", "identifier", "id")
-HEIGHT_WORDS = ("floor", "ceiling", "lower", "upper", "altitude", "height")
-# Properties that name the unit or the zero of heights, by plain name: "uomDimensions", "lowerVerticalReference" ...
+# By plain name: properties of heights, of their unit or zero ("uomDimensions", "lowerVerticalReference" ...), units and
+# zeros that are read, and properties of what is closed around a polygon.
+HEIGHT_NAME = re.compile("floor|ceiling|lower|upper|altitude|height")
 UNIT_NAME = re.compile(
     r"^(uom|units?)|(uom|units?|datum)$|(vertical|altitude|height|limit|lower|upper).*ref"
 )
-UNITS_READ = (
-    "m",
-    "metre",
-    "metres",
-    "meter",
-    "meters",
-    "agl",
-    "sfc",
-    "gnd",
-    "ground",
-    "surface",
-    "abovegroundlevel",
-)
+UNIT_READ = re.compile("m|met(re|er)s?|agl|sfc|gnd|ground|surface|abovegroundlevel")
+BUFFER_NAME = re.compile("buffer|margin|offset|expand|setback")
 ROLE = "no-fly"
 GEOZONE_FORMATS = (".geojson", ".geojsonl")  # of `sniff`
 GEOZONE = re.compile(
@@ -83,12 +72,12 @@ METRES = {"M": 1.0, "FT": 0.3048}
 CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wider
 WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
 MOST_M = 300_000.0  # radius of a circle whose edges are as good as straight in degrees
-MOST_NAMED = 3
 NOWHERE = shapely.Polygon()
 # What is true of a zone, and what is said of it as it is read.
 REMARKS = {
     "no_area": "are points, lines, collections or empty, so that what they close is not known (draw them as polygons)",
     "not_read": "are not read, so that what they close is not known (write each as a feature of its own)",
+    "buffer": "name a buffer, which is not read, so that what they close around it is not known (draw it too)",
     "no_restriction": "restrict nothing, and are left out",
     "on_approval": "need an authorisation or hold on conditions, and are closed",
     "limits": "have limits in a unit or above a zero that is not read, and reach on to every altitude there "
@@ -99,21 +88,14 @@ REMARKS = {
     "all_around": "have edges of more than 180 degrees of longitude, and are closed all around the Earth (cut them at "
     "the antimeridian)",
 }
-# One for each feature of GeoJSON or KML; GDAL passes over one that is not where it belongs, or in another file.
+# One for each feature of GeoJSON or KML, and one for each list of coordinates. GDAL passes over what is not where it
+# belongs, or in another file, and reads one shape of a Placemark, and one outer ring of a Polygon.
 FEATURE = re.compile(
     rb'"type"\s*:\s*"Feature"|<(?:[\w.-]+:)?(?:Placemark|GroundOverlay|PhotoOverlay|NetworkLink)\b'
 )
-MODEL, PLACEMARK, SQLITE = b"<Model", b"Placemark", b"SQLite format 3"
+OUTLINE = re.compile(rb'"coordinates"\s*:\s*\[|<(?:[\w.-]+:)?(?:coordinates|Track|LatLonBox)\b')
+MODEL, SQLITE = b"<Model", b"SQLite format 3"
 SHAPE_NAMES = ("geometry", "geometries", "geom", "wkt", "wkb", "shape")
-KML_SHAPES = [
-    "Point",
-    "LineString",
-    "LinearRing",
-    "Polygon",
-    "MultiGeometry",
-    "Track",
-    "MultiTrack",
-]
 Json = Mapping[str, Any]
 Remarks = list[str]  # of one zone, keys of `REMARKS`
 
@@ -145,25 +127,24 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     if path.is_dir():
         raise InputError(f"{str(path)!r} is a folder: name each file of no-fly zones in it")
     features = _geozones(path)
-    zones = _of_vector_file(path) if features is None else _of_geozones(features, path.name)
+    if features is None:
+        zones = _of_vector_file(path)
+    else:
+        zones = _of_geozones(features, path.name)
+        read = json.dumps([feature.get("geometry") for feature in features]).encode()
+        num_more = len(OUTLINE.findall(path.read_bytes())) - len(OUTLINE.findall(read))
+        zones += _not_read(num_more, path.name)
 
     for remark, sentence in REMARKS.items():
         labels = list(dict.fromkeys(repr(zone.name) for zone in zones if remark in zone.remarks))
-        num = len(labels)
-        if num > MOST_NAMED:
-            labels[MOST_NAMED:] = ["..."]
-        if num:
-            _warn(f"zones of {path.name!r} that {sentence}: {num} ({', '.join(labels)})")
+        if labels:
+            what = f"zones of {path.name!r} that {sentence}: {len(labels)} ({listed(labels)})"
+            warn(what, IgnoredZoneWarning)
     if all(zone.state != "closed" for zone in zones):
         raise InputError(
             f"the {ROLE} file {str(path)!r} holds no polygons that restrict flights: give another file"
         )
     return tuple(zones)
-
-
-def _warn(sentence: str) -> None:
-    """Warn of zones, or of what a file says of them, that are not read as they may be meant."""
-    warn(sentence, IgnoredZoneWarning)
 
 
 def _of_vector_file(path: Path) -> list[Zone]:
@@ -181,19 +162,20 @@ def _of_vector_file(path: Path) -> list[Zone]:
     check_file(path)
     with unpacked(path) as plain:
         content = plain.read_bytes()
+        kind = sniff(plain)
     if MODEL in content:
         raise InputError(
             f"the {ROLE} file {str(path)!r} holds a model in three dimensions, which GDAL cannot read: draw a polygon "
             "around it instead"
         )
     zones: list[Zone] = []
-    num_read = 0
-    num_lost = _num_without_shape(content, path)
+    num_read = num_outlines = num_beside = 0
     for frame in wings.open_layers(path, ROLE):
         crs = frame.crs.to_wkt()
         properties = frame.drop(columns=frame.geometry.name)
         _warn_of_ignored(properties, file)
-        num_lost += sum(map(_num_shapes, properties.columns, map(properties.get, properties)))
+        num_beside += sum(_num_shapes(*column) for column in properties.items())
+        num_outlines += _num_outlines(frame.geometry.to_numpy(), kind)
 
         # Of each row: its filled properties by plain name, its own name, its shape and its heights.
         for row in frame.to_dict("records"):
@@ -212,40 +194,51 @@ def _of_vector_file(path: Path) -> list[Zone]:
             if shapely.get_dimensions(shape) == 2 and not shape.is_empty:
                 whole = _whole(shape, remarks, is_lonlat=frame.crs.is_geographic)
                 zones.append(Zone(name, whole, crs, *limits_m, file, remarks=tuple(remarks)))
+            why = ""
             if shape.is_empty or "Polygon" not in shape.geom_type:
+                why = "no_area"
+            elif any(BUFFER_NAME.search(name) for name in facts):
+                why = "buffer"
+            if why:
                 zones.append(
-                    Zone(name, shape, crs, *limits_m, file, state="unknown", remarks=("no_area",))
+                    Zone(name, shape, crs, *limits_m, file, state="unknown", remarks=(why,))
                 )
 
-    num_lost += max(_num_features(content) - num_read, 0)
-    if num_lost > 0:
-        name = f"{num_lost} more"
-        zones.append(Zone(name, NOWHERE, source=file, state="unknown", remarks=("not_read",)))
-    return zones
+    num_more = len(OUTLINE.findall(content)) - num_outlines
+    num_lost = max(num_beside, num_more, _num_features(content) - num_read)
+    return zones + _not_read(num_lost + _num_without_shape(content, path), file)
+
+
+def _not_read(num: int, file: str) -> list[Zone]:
+    """Return a zone that stands for so many things of a file, none without one."""
+    zone = Zone(f"{num} more", NOWHERE, source=file, state="unknown", remarks=("not_read",))
+    return [zone] if num > 0 else []
 
 
 def _num_features(content: bytes) -> int:
-    """Return how many shapes a file of GeoJSON or KML holds with a place of their own, 0 of any other file."""
+    """Return how many features a file of GeoJSON or KML holds, 0 of any other file."""
     num = len(FEATURE.findall(content))
     with suppress(*BROKEN, RecursionError):
-        num = max(num, len(json.loads(content)["features"]))  # a bare geometry among features
-    if PLACEMARK not in content:
-        return num
-    with suppress(*BROKEN):
-        root = xml_root(content)
-        for mark in root.iterfind(".//{*}Placemark"):  # GDAL reads one shape of each
-            num_shapes = sum(tag_of(each) in KML_SHAPES for each in mark)
-            num += max(num_shapes - 1, 0)
-        for area in root.iterfind(".//{*}Polygon"):  # and one outer ring
-            num += max(len(area.findall("{*}outerBoundaryIs/{*}LinearRing")) - 1, 0)
+        num = max(num, len(json.loads(content)["features"]))  # what is no feature among them
     return num
+
+
+def _num_outlines(shapes: np.ndarray, kind: str) -> int:
+    """Return how many lists of coordinates the shapes of a file were read from: one of each ring in KML.
+
+    In GeoJSON a shape of several parts has one, and each shape of a collection its own.
+    """
+    is_one = shapely.get_type_id(shapes) != shapely.GeometryType.GEOMETRYCOLLECTION
+    is_one &= kind != ".kml"
+    parts = shapely.get_parts(shapely.get_parts(shapes[~is_one]))
+    return int(is_one.sum() + len(parts) + shapely.get_num_interior_rings(parts).sum())
 
 
 def _num_shapes(name: object, values: pd.Series) -> int:
     """Return how many shapes a column beside the geometry holds."""
     is_named = _plain(name) in SHAPE_NAMES
     holds_them = values.dtype == "geometry" or values.map(type).isin([bytes]).any()
-    return int(values.notna().sum()) if is_named or holds_them else 0
+    return values.count() if is_named or holds_them else 0
 
 
 def _num_without_shape(content: bytes, path: Path) -> int:
@@ -285,7 +278,7 @@ def _heights(facts: Json, label: str, remarks: Remarks) -> tuple[float, float]:
         for names in (FLOOR_NAMES, CEILING_NAMES)
     )
     units = [str(value) for name, value in facts.items() if UNIT_NAME.search(name)]
-    unread = [unit for unit in units if _plain(unit) not in UNITS_READ]
+    unread = [unit for unit in units if not UNIT_READ.fullmatch(_plain(unit))]
     if unread and (floors_m or ceilings_m):
         remarks.append("limits")
         return -math.inf, math.inf
@@ -299,17 +292,18 @@ def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
     filled = [name for name in properties if not all(map(is_blank, properties[name]))]
     ignored = [repr(name) for name in filled if _is_ignored(_plain(name))]
     if ignored:
-        _warn(
+        warn(
             f"{', '.join(ignored)} of {file!r} not read: floors and ceilings are {', '.join(FLOOR_NAMES)} "
-            f"and {', '.join(CEILING_NAMES)}, metres above ground, and a zone without is closed at all altitudes"
+            f"and {', '.join(CEILING_NAMES)}, metres above ground, and a zone without is closed at all altitudes",
+            IgnoredZoneWarning,
         )
 
 
 def _is_ignored(name: str) -> bool:
     """Return whether a property, by its plain name, sounds like a height and is not read."""
     read = {*map(_plain, FLOOR_NAMES), *map(_plain, CEILING_NAMES)}
-    is_height = any(word in name for word in HEIGHT_WORDS) and not UNIT_NAME.search(name)
-    return is_height and name not in read
+    is_height = HEIGHT_NAME.search(name) and not UNIT_NAME.search(name)
+    return bool(is_height) and name not in read
 
 
 def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:
@@ -378,12 +372,11 @@ def _geozones(path: Path) -> list[Json] | None:
         check_file(path)
         text = path.read_text(encoding="utf-8-sig")
         whole = json.loads(text) if GEOZONE.search(text) else {}
-        lists = [whole[key] for key in ("features", "UASZoneList") if key in whole]
-        listed = list(chain(*lists)) if lists else None
-    except (OSError, ValueError, RecursionError, AttributeError):
+        features = [*whole.get("features", ()), *whole.get("UASZoneList", ())]
+    except (OSError, ValueError, RecursionError, AttributeError, TypeError):
         return None  # the reader of vector files says what is wrong with it
-    is_listed = isinstance(listed, list) and all(isinstance(each, dict) for each in listed)
-    return listed if is_listed else None
+    is_listed = features and all(isinstance(feature, dict) for feature in features)
+    return features if is_listed else None
 
 
 def _name(facts: Json, number: int) -> str:

@@ -1,6 +1,6 @@
 """Checks of one mission as each autopilot flies it: the worse counts, and what one alone meets is named by it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import pandas as pd
@@ -37,11 +37,14 @@ def worse_of(
     )
 
 
+def joined(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return the rows of tables; empty ones are left out, since their columns would change the types of the others."""
+    return pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
+
+
 def _as_one(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """Return the rows of tables, each once, with the only autopilot that has it, ``""`` for one of all."""
-    named = [table.assign(autopilot=name) for name, table in tables.items()]
-    # Empty tables are left out, since their columns would change the types of the others.
-    rows = pd.concat([table for table in named if len(table)] or named[:1], ignore_index=True)
+    rows = joined([table.assign(autopilot=name) for name, table in tables.items()])
     values = rows.drop(columns=ALONG, errors="ignore").round(DECIMALS)
     rows["autopilot"] = rows["autopilot"].mask(values.duplicated(keep=False), "")
     return rows[~values.duplicated()].reset_index(drop=True)

@@ -13,7 +13,7 @@ import shapely
 
 from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
-from jaxurban.flights.by_autopilot import worse_of
+from jaxurban.flights.by_autopilot import joined, worse_of
 from jaxurban.flights.check_result import MissionCheck
 from jaxurban.flights.contacts import Prisms, buildings_of, union_m
 from jaxurban.flights.flown import figures_of
@@ -157,11 +157,9 @@ def check(
         flown = figures | figures_of(flight, maps, times, time_of_day)
         exceeded, open_limits = _against_maxima(flight, flown, max_no_fix_m, max_people)
         open_limits += unknown_cautions(limits.zones)
-        # Empty tables are left out, since their columns would change the types of the others.
-        tables = [table for table in (findings, exceeded) if len(table)]
         departures.append(departures_of(flight, buildings, known, limits))
         checks[name] = MissionCheck(
-            findings=pd.concat(tables or [findings]),
+            findings=joined([findings, exceeded]),
             not_judged=_not_judged(maps, standing, flight, buildings, unknown, open_limits),
             figures=flown,
             outlines=standing.outlines + flight.ground_note,

@@ -38,6 +38,12 @@ JUMP = [[179.9, 0], [-179.9, 0], [-179.9, 1], [179.9, 1], [179.9, 0]]
 POLYGON = {"type": "Polygon", "coordinates": SQUARE}
 POINT = {"type": "Point", "coordinates": [LON, LAT]}
 LINE = {"type": "LineString", "coordinates": SQUARE[0][:3]}
+COLLECTION = {
+    "type": "FeatureCollection",
+    "features": [
+        {"type": "Feature", "properties": {"name": "A"}, "geometry": POLYGON},
+    ],
+}
 MIXED = {"type": "GeometryCollection", "geometries": [POLYGON, POINT]}
 ALWAYS = [{"permanent": "YES"}]
 
@@ -141,6 +147,33 @@ FORMS = {
     "empty polygon": of({"type": "Polygon", "coordinates": []}),
     "empty ring": of({"type": "Polygon", "coordinates": [[]]}),
     "empty polygons": of({"type": "MultiPolygon", "coordinates": []}),
+    "shapes beside the features": Form(
+        ".geojson",
+        json.dumps(COLLECTION | {"exclusions": {"inner": [POLYGON, LINE]}}),
+        {"A": "closed", "2 more": "unknown"},
+    ),
+    "geometries beside the geometry": geojson(
+        feature(POLYGON) | {"geometries": [POLYGON]}, states={"B": "closed", "1 more": "unknown"}
+    ),
+    "geometries in a polygon": geojson(
+        feature(POLYGON | {"geometries": [POINT]}), states={"B": "closed", "1 more": "unknown"}
+    ),
+    "shape in a property": geojson(
+        feature(POLYGON, area=POLYGON), states={"B": "closed", "1 more": "unknown"}
+    ),
+    "shape in a property of its own name": geojson(
+        feature(POLYGON, Geometry=POLYGON), states={"B": "closed", "1 more": "unknown"}
+    ),
+    "polygon with a buffer": geojson(feature(POLYGON, buffer_m=50), states=BOTH),
+    "polygon with a margin": geojson(feature(POLYGON, SafetyMargin="50 m"), states=BOTH),
+    "polygon without its buffer": of(POLYGON, "closed", buffer=None),
+    "shapes beside the features of ED-269": Form(
+        ".json",
+        json.dumps(
+            {"features": [ed269_zone("A", "PROHIBITED", [volume()])], "others": [POLYGON, POINT]}
+        ),
+        {"A": "closed", "2 more": "unknown"},
+    ),
     "two outer rings": kml(
         f"<Placemark><name>B</name><Polygon><outerBoundaryIs>{RING}</outerBoundaryIs><outerBoundaryIs>{RING}"
         "</outerBoundaryIs></Polygon></Placemark>",
