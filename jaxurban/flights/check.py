@@ -13,11 +13,11 @@ import shapely
 
 from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
-from jaxurban.flights.by_autopilot import joined, worse_of
-from jaxurban.flights.check_result import MissionCheck
+from jaxurban.flights.by_autopilot import as_one, joined
+from jaxurban.flights.check_result import MissionCheck, flown_by
 from jaxurban.flights.contacts import Prisms, buildings_of, union_m
 from jaxurban.flights.flown import figures_of
-from jaxurban.flights.item_returns import departures_of
+from jaxurban.flights.item_returns import by_item, departures_of, return_lines
 from jaxurban.flights.judge import SPAN, below_home, judged, placed
 from jaxurban.flights.legs import Flight, flight_of
 from jaxurban.flights.missions.mission import read_mission
@@ -150,26 +150,36 @@ def check(
     if city and not standing.reason:  # a raster of plants is looked at in the maps' cells alone
         known = shapely.intersection(known, city.known_ground) if city.plants else city.known_ground
     buildings = buildings_of(maps, city)
-    checks, departures = {}, []
+    found, unknown, flown, departures = {}, {}, {}, []
     for name, way in mission.ways.items():
         flight = flight_of(way, Elevation(maps, city), geoid_m)
-        findings, unknown = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
-        flown = figures | figures_of(flight, maps, times, time_of_day)
-        exceeded, open_limits = _against_maxima(flight, flown, max_no_fix_m, max_people)
+        findings, parts = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
+        numbers = figures | figures_of(flight, maps, times, time_of_day)
+        exceeded, open_limits = _against_maxima(flight, numbers, max_no_fix_m, max_people)
         open_limits += unknown_cautions(limits.zones)
+        sentences = _not_judged(maps, standing, flight, buildings, parts, open_limits)
+        found[name] = joined([findings, exceeded])
+        unknown[name] = pd.DataFrame({"what": sentences})
+        flown[name] = flight, numbers
         departures.append(departures_of(flight, buildings, known, limits))
-        checks[name] = MissionCheck(
-            findings=joined([findings, exceeded]),
-            not_judged=_not_judged(maps, standing, flight, buildings, unknown, open_limits),
-            figures=flown,
-            outlines=standing.outlines + flight.ground_note,
-            limits=limits.to_dict(),
-            flight=flight,
-            maps=maps,
-            zones=limits.zones,
-            left_out=left_out(maps, city),
-        )
-    return worse_of(checks, pd.concat(departures), ceiling_m)
+
+    # Of two autopilots that with the most findings, and what the other one meets.
+    flight, numbers = flown[max(found, key=lambda name: len(found[name]))]
+    not_judged = as_one(unknown)
+    returns = pd.concat(departures)
+    return MissionCheck(
+        findings=as_one(found),
+        not_judged=[*map(flown_by, not_judged["autopilot"], not_judged["what"])],
+        figures=numbers,
+        outlines=standing.outlines + flight.ground_note,
+        limits=limits.to_dict(),
+        flight=flight,
+        maps=maps,
+        zones=limits.zones,
+        left_out=left_out(maps, city),
+        return_altitudes=by_item(returns),
+        return_lines=return_lines(returns, flight, ceiling_m),
+    )
 
 
 def _in_force(limits: Constraints, times: Sequence[str]) -> Constraints:
@@ -280,8 +290,7 @@ def _mission_of(
 def _check_geoid(mission: Mission, geoid_m: float) -> None:
     """Raise InputError where the geoid's height is no number, or no leg has a height above the ellipsoid."""
     finite("geoid_m", geoid_m)
-    datums = {place.datum for leg in mission.legs for place in (leg.start, leg.end)}
-    if "ellipsoid" not in datums:
+    if "ellipsoid" not in mission.datums:
         raise InputError(
             f"{mission.name!r} has no height above the ellipsoid: leave geoid_m (--heights geoid_m=) out"
         )

@@ -90,10 +90,9 @@ class Flight:
     def home_off_m(self) -> float:
         """How far home's elevation in the file is from the ground there; 0 where no height above the sea is flown."""
         mission = self.mission
-        datums = {place.datum for leg in mission.legs for place in (leg.start, leg.end)}
         if mission.home is None or mission.home_elevation_m is None:
             return 0.0
-        if self.ground.is_flat or "geoid" not in datums:
+        if self.ground.is_flat or "geoid" not in mission.datums:
             return 0.0
         home_m = self.ground.at_lonlat(*mission.home) + mission.home_above_ground_m
         off_m = home_m - mission.home_elevation_m

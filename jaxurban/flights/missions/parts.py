@@ -147,6 +147,11 @@ class Mission:
         return flyers(self.autopilot)
 
     @property
+    def datums(self) -> set[Datum]:
+        """What the heights of its legs are above."""
+        return {place.datum for leg in self.legs for place in (leg.start, leg.end)}
+
+    @property
     def num_lost(self) -> int:
         """How many things of the file are in no account, or in one that names neither a leg nor a reason."""
         sound = [each.num for each in self.accounts if each.why or each.legs]
