@@ -41,12 +41,9 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         """Return the function, compiled or loaded at its first call."""
-        kept = None
         with or_compile():
-            kept = _kept(function, options)
-        if kept is None:
-            kept = numba.njit(**options)(function)
-        return kept
+            return _kept(function, options)
+        return numba.njit(**options)(function)
 
     return decorate
 
@@ -110,21 +107,19 @@ def _looked_at(above: Path, num_own: int, name: str) -> Path:
     unused folders beside it are swept.
 
     Args:
-      above, num_own: the folder that it lies in, as `closed_folder` takes it; errors name this one.
+      above, num_own: the folder that it lies in, as `closed_folder` takes it, which errors on what it holds name.
       name: of the folder.
 
     Raises:
       PermissionError: another user could have written the folder or something in it, or this one may not write.
       OSError: it cannot be made for another reason.
     """
-    folder = closed_folder(above, num_own) / name
-    folder.mkdir(0o700, exist_ok=True)
-    files = [*folder.glob("*/*.nb[ic]")]
-    for found in (folder, *folder.iterdir(), *files):
-        refuse_unsafe(above, found.lstat())
-    if not files:
+    folder = closed_folder(above / name, num_own + 1)
+    kept = [*folder.rglob("*")]
+    for place in kept:
+        refuse_unsafe(above, place.lstat())
+    if not kept:
         sweep_unused(above)
-    os.utime(folder)
     # Numba writes by the umask, which may let others in; not so in a folder with such a list, if the disk knows lists.
     with suppress(AttributeError, OSError):
         os.setxattr(folder, "system.posix_acl_default", ONLY_OURS)

@@ -27,7 +27,7 @@ import shapely
 
 from jaxurban import wings
 from jaxurban.checks import finite
-from jaxurban.errors import IgnoredZoneWarning, InputError, check_file, warn
+from jaxurban.errors import IgnoredZoneWarning, InputError, readable, warn
 from jaxurban.flights.missions.parts import GEOD
 from jaxurban.io.broken import BROKEN
 from jaxurban.io.sniff import sniff, unpacked
@@ -64,7 +64,7 @@ BUFFER_NAME = re.compile("buffer|margin|offset|expand|setback")
 ROLE = "no-fly"
 GEOZONE_FORMATS = (".geojson", ".geojsonl")  # of `sniff`
 GEOZONE = re.compile(
-    r'"(horizontalProjection|limitedApplicability|(lower|upper)Reference)"|"extent"\s*:\s*\{'
+    rb'"(horizontalProjection|limitedApplicability|(lower|upper)Reference)"|"extent"\s*:\s*\{'
 )
 OPEN = "NO_RESTRICTION"  # a zone that informs, and closes nothing
 ON_APPROVAL = ("REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL")
@@ -126,13 +126,16 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{str(path)!r} is a folder: name each file of no-fly zones in it")
-    features = _geozones(path)
+    kind = sniff(path)
+    with readable(path, "a file of zones", "fetch it again"), unpacked(path) as plain:
+        content = plain.read_bytes()
+    features = _geozones(content) if kind in GEOZONE_FORMATS else None
     if features is None:
-        zones = _of_vector_file(path)
+        zones = _of_vector_file(path, content, kind)
     else:
         zones = _of_geozones(features, path.name)
         read = json.dumps([feature.get("geometry") for feature in features]).encode()
-        num_more = len(OUTLINE.findall(path.read_bytes())) - len(OUTLINE.findall(read))
+        num_more = len(OUTLINE.findall(content)) - len(OUTLINE.findall(read))
         zones += _not_read(num_more, path.name)
 
     for remark, sentence in REMARKS.items():
@@ -147,10 +150,15 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     return tuple(zones)
 
 
-def _of_vector_file(path: Path) -> list[Zone]:
+def _of_vector_file(path: Path, content: bytes, kind: str) -> list[Zone]:
     """Return the zones of a file that GDAL or pyarrow reads: of each feature its polygons, and if there is more, that.
 
     What GDAL passes over in silence is one unknown zone.
+
+    Args:
+      path: of the file.
+      content: its bytes, unpacked.
+      kind: its format (`sniff`).
 
     Warns:
       IgnoredZoneWarning: properties of heights that are not read.
@@ -159,10 +167,6 @@ def _of_vector_file(path: Path) -> list[Zone]:
       InputError: a file that cannot be read, or a zone with an invalid corner, floor or ceiling.
     """
     file = path.name
-    check_file(path)
-    with unpacked(path) as plain:
-        content = plain.read_bytes()
-        kind = sniff(plain)
     if MODEL in content:
         raise InputError(
             f"the {ROLE} file {str(path)!r} holds a model in three dimensions, which GDAL cannot read: draw a polygon "
@@ -182,8 +186,7 @@ def _of_vector_file(path: Path) -> list[Zone]:
             shape = row.pop(frame.geometry.name)
             num_read += 1
             facts = {_plain(name): value for name, value in row.items() if not is_blank(value)}
-            names = (str(facts[name]).strip() for name in NAME_NAMES if name in facts)
-            name = next(names, f"feature {num_read}")
+            name = _name(facts, f"feature {num_read}")
             if not np.isfinite(shapely.get_coordinates(shape)).all():
                 raise InputError(
                     f"the no-fly zone {name!r} of {file!r} has a corner that is not a number: mend it"
@@ -319,7 +322,7 @@ def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:
     zones = []
     for number, feature in enumerate(features, start=1):
         facts = feature["properties"] if isinstance(feature.get("properties"), dict) else feature
-        name = _name(facts, number)
+        name = _name(facts, f"zone {number}")
         restriction = str(facts.get("restriction", facts.get("type", ""))).upper()
         if restriction == OPEN:
             zones.append(
@@ -360,35 +363,34 @@ def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:
     return zones
 
 
-def _geozones(path: Path) -> list[Json] | None:
+def _geozones(content: bytes) -> list[Json] | None:
     """Return the features of a file of ED-269 or ED-318 as JSON holds them, None of any other file.
 
     Such a file is JSON, and known by the words that only these formats have; one that cannot be read is left to
     the reader of vector files.
     """
-    if sniff(path) not in GEOZONE_FORMATS:
-        return None
     try:
-        check_file(path)
-        text = path.read_text(encoding="utf-8-sig")
-        whole = json.loads(text) if GEOZONE.search(text) else {}
+        whole = json.loads(content) if GEOZONE.search(content) else {}
         features = [*whole.get("features", ()), *whole.get("UASZoneList", ())]
-    except (OSError, ValueError, RecursionError, AttributeError, TypeError):
+    except (ValueError, RecursionError, AttributeError, TypeError):
         return None  # the reader of vector files says what is wrong with it
     is_listed = features and all(isinstance(feature, dict) for feature in features)
     return features if is_listed else None
 
 
-def _name(facts: Json, number: int) -> str:
-    """Return a zone's name, else its identifier, else its number in the file.
+def _name(facts: Json, other: str) -> str:
+    """Return a zone's name by the first of `NAME_NAMES` that is filled, else another one.
 
     In ED-318 the name is a list of objects with texts in several languages, of which the first counts.
     """
-    name = facts.get("name")
-    if isinstance(name, list):
-        texts = (item.get("text") for item in name if isinstance(item, dict))
-        name = next(filter(None, texts), None)
-    return str(name or facts.get("identifier") or f"zone {number}").strip()
+    for key in NAME_NAMES:
+        name = facts.get(key)
+        if isinstance(name, list):
+            texts = (item.get("text") for item in name if isinstance(item, dict))
+            name = next(filter(None, texts), None)
+        if not is_blank(name):
+            return str(name).strip()
+    return other
 
 
 def _outline(shape: Json) -> shapely.Geometry:

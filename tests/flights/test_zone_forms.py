@@ -1,5 +1,6 @@
 """Forms of features in files of zones: each is closed, open, unknown or refused, and none is passed over."""
 
+import gzip
 import json
 import math
 from dataclasses import replace
@@ -417,6 +418,16 @@ def test_a_zone_that_is_not_in_force_at_the_flight_is_named_as_open(tmp_path, mi
     with pytest.warns(IgnoredZoneWarning, match="not in force"):
         planned = limits.at(time).to_dict()["no_fly"]
     assert planned[1]["remarks"] == ["not_in_force"]
+
+
+def test_packed_zones_are_read_by_their_own_format_and_damaged_ones_refused(tmp_path):
+    file = tmp_path / "zones.json.gz"
+    packed = gzip.compress(ed269([volume()], {}, "NO_RESTRICTION").content.encode())
+    file.write_bytes(packed)
+    assert [zone.state for zone in read_zones(file)] == ["closed", "open"]
+    file.write_bytes(packed[:-20])
+    with pytest.raises(ju.InputError, match="damaged or cut short"):
+        read_zones(file)
 
 
 def test_a_model_of_kml_is_refused_before_gdal_reads_it(tmp_path):

@@ -198,9 +198,8 @@ class FlownItems:
         self.autopilot = autopilot
         self.return_altitude_m = return_altitude_m
         self._state = State(home, home and Place(*home, 0.0, "ground"))
-        self._after: dict[
-            tuple[int, State], State
-        ] = {}  # by the index of an item and the state before it
+        # By the index of an item and the state before it.
+        self._after: dict[tuple[int, State], State] = {}
         self._why: dict[int, str] = {}  # the first sentence on an item, by its number
         self._why_ended = ""  # the sentence on what is never flown
         self._number = 0  # of the item that is flown
@@ -354,12 +353,7 @@ class FlownItems:
         """
         self._state = self._state._replace(at=None, since=item.number, ground=ground)
 
-    def _move(
-        self,
-        item: Item,
-        place: Place,
-        kind: str = "leg",
-    ) -> None:
+    def _move(self, item: Item, place: Place, kind: str = "leg") -> None:
         """Add the leg to a place, if the vehicle is elsewhere, and move it there.
 
         Args:
@@ -413,11 +407,7 @@ class FlownItems:
             return 0.0
         return CORNER_M if self.autopilot == "ardupilot" else max(CORNER_M, item.params[1])
 
-    def _fly_to(
-        self,
-        item: Item,
-        place: Place | None = None,
-    ) -> None:
+    def _fly_to(self, item: Item, place: Place | None = None) -> None:
         """Add the straight leg to a place and move the vehicle there.
 
         Where the vehicle's place is not known, a sentence says so instead of a leg. The vehicle is at the place
