@@ -67,9 +67,8 @@ def closed_folder(place: Path, num_own: int) -> Path:
         closed_folder(place.parent, num_own - 1)
     if not os.path.lexists(place):
         place.mkdir(0o700, exist_ok=True)
-    is_own = num_own > 0
-    refuse_unsafe(place, place.lstat(), leads_only=not is_own)
-    if is_own:
+    refuse_unsafe(place, place.lstat(), leads_only=num_own <= 0)
+    if num_own > 0:
         os.utime(place)
     elif place.is_symlink():
         closed_folder(place.parent / os.readlink(place), 0)

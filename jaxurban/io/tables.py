@@ -57,7 +57,12 @@ def write_table(
       InputError: the name ends neither in .parquet nor in .csv, or the folder cannot be written to.
     """
     file = Path(file)
-    if _suffix(file) == ".csv":
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(
+            f"cannot determine the format of {str(file)!r}: end its name in {' or '.join(SUFFIXES)}"
+        )
+    if suffix == ".csv":
         write_whole(file, table.to_csv(index=False, lineterminator="\n"))
         return file
     content = pa.Table.from_pandas(table, preserve_index=False)
@@ -179,16 +184,6 @@ def number_or_none(value: float | None) -> float | None:
 def numbers_or_none(values: Mapping[Any, float | None]) -> dict[str, float | None]:
     """Return numbers by name as JSON takes them (`number_or_none`)."""
     return {str(name): number_or_none(value) for name, value in values.items()}
-
-
-def _suffix(file: Path) -> str:
-    """Return the end of a file's name, one of `SUFFIXES` in small letters; InputError of any other name."""
-    suffix = file.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(
-            f"cannot determine the format of {str(file)!r}: end its name in {' or '.join(SUFFIXES)}"
-        )
-    return suffix
 
 
 class RowStore:

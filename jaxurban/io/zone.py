@@ -59,12 +59,13 @@ class Zone:
 
     def __post_init__(self) -> None:
         """Check the attributes; InputError as of the class."""
+        is_closed = self.state == "closed"
         is_area = isinstance(self.polygon, (shapely.Polygon, shapely.MultiPolygon))
-        if self.state == "closed" and (self.polygon.is_empty or not is_area):
+        if is_closed and (self.polygon.is_empty or not is_area):
             raise InputError(
                 f"the no-fly zone {self.label} has no area: draw it as a polygon of three or more corners"
             )
-        if self.state == "closed" and not self.polygon.is_valid:
+        if is_closed and not self.polygon.is_valid:
             raise InputError(
                 f"the outline of the no-fly zone {self.label} crosses itself: see shapely.make_valid"
             )

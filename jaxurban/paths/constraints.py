@@ -390,14 +390,14 @@ class Constraints:
         A zone counts where it is in force at the time or within an hour after it (`zone.FLIGHT`).
 
         Returns:
-          `Constraints` with the same zones; itself where no time is named or no zone has times.
+          `Constraints` with the same zones; the same where no time is named or no zone has times.
 
         Examples:
           >>> limits = ju.Constraints(clearance_m=5.0)
           >>> limits.at("2020-04-27T16:00:00Z") == limits
           True
         """
-        if time is None or not any(zone.start or zone.end for zone in self.zones):
+        if time is None:
             return self
         flight = parse_time(time)
         zones = [zone.at([flight]) for zone in self.zones]

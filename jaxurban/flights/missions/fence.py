@@ -42,13 +42,11 @@ def read_geofence(geofence: Mapping[str, Any], source: str) -> tuple[list[Zone],
             except (LookupError, TypeError, ValueError):
                 notes.append(f"{name} is damaged, and not judged")
 
-    lands = [EARTH - zone.polygon for zone in zones[True]]
-    outside = [
-        Zone("land outside the geofence", land, source=source)
-        for land in lands
-        if not land.is_empty
-    ]
-    return zones[False] + outside, notes
+    for zone in zones[True]:
+        outside = EARTH - zone.polygon
+        if not outside.is_empty:
+            zones[False].append(Zone("land outside the geofence", outside, source=source))
+    return zones[False], notes
 
 
 def _places(rows: Any) -> np.ndarray:

@@ -246,13 +246,13 @@ def mission_of(
     """
     if not items:
         raise InputError(f"{name!r} holds no items: give a mission that has some")
+    planned_m_s = speed_m_s if speed_m_s > 0 else None
     missions = []
     for flyer in flyers(autopilot):
         flown = FlownItems(items, start[0], return_altitude_m, flyer)
         sentences = first_sentences([*flown.not_judged, *notes])
         if not flown.legs and not sentences:
             raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
-        planned_m_s = speed_m_s if speed_m_s > 0 else None
         mission = Mission(
             name,
             tuple(flown.legs),
