@@ -41,9 +41,10 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         """Return the function, compiled or loaded at its first call."""
+        kept = None
         with or_compile():
-            return _kept(function, options)
-        return numba.njit(**options)(function)
+            kept = _kept(function, options)
+        return kept or numba.njit(**options)(function)
 
     return decorate
 

@@ -28,7 +28,7 @@ import shapely
 from jaxurban import wings
 from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, readable, warn
-from jaxurban.flights.missions.parts import GEOD
+from jaxurban.flights.missions.parts import circle_around
 from jaxurban.io.broken import BROKEN
 from jaxurban.io.sniff import sniff, unpacked
 from jaxurban.io.tables import is_blank
@@ -447,8 +447,8 @@ def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
             f"a circle of {radius_m:g} m around {lon:g}, {lat:g}: at most {MOST_M:g} m, not at a pole"
         )
     azimuth_deg = np.arange(CORNERS) * (360 / CORNERS)
-    away_m = np.full(CORNERS, radius_m * (1 + WIDER) / math.cos(math.pi / CORNERS))
-    lons, lats, _ = GEOD.fwd(np.full(CORNERS, lon), np.full(CORNERS, lat), azimuth_deg, away_m)
+    away_m = radius_m * (1 + WIDER) / math.cos(math.pi / CORNERS)
+    lons, lats = circle_around(lon, lat, away_m, azimuth_deg)
     # In one piece where it lies across the antimeridian.
     around = lon + (lons - lon + 180) % 360 - 180
     return shapely.Polygon(np.column_stack([around, lats]))

@@ -126,8 +126,12 @@ def check(
         not_negative("max_people", max_people, "people")
     if isinstance(mission, PlannedPath):
         constraints = constraints or constraints_of(mission)
-    of_file: dict[str, Any] = {"heights": heights, "home": home, "autopilot": autopilot}
-    of_file["return_altitude_m"] = return_altitude_m
+    of_file: dict[str, Any] = {
+        "heights": heights,
+        "home": home,
+        "return_altitude_m": return_altitude_m,
+        "autopilot": autopilot,
+    }
     mission = _mission_of(mission, values_given(of_file), home_above_ground_m)
     if geoid_m is not None:
         _check_geoid(mission, geoid_m)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from jaxurban.flights.missions.parts import GEOD, Leg, Mission, Place
+from jaxurban.flights.missions.parts import GEOD, Leg, Mission, Place, circle_around
 from jaxurban.knowledge import Unjudged
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.steps import Steps, between, steps_of
@@ -347,8 +347,7 @@ def _corners_of(leg: Leg) -> list[Place]:
     azimuths = first_deg + np.linspace(
         0.0, 360.0, int(np.clip(num_chords, FEWEST_CHORDS, MOST_CHORDS))
     )
-    lons, lats, radii_m = np.full((len(azimuths), 3), [leg.end.lon, leg.end.lat, radius_m]).T
-    lons, lats, _ = GEOD.fwd(lons, lats, azimuths, radii_m)
+    lons, lats = circle_around(leg.end.lon, leg.end.lat, radius_m, azimuths)
     circle = [leg.end._replace(lon=lon, lat=lat) for lon, lat in zip(lons, lats, strict=True)]
     is_on_circle = leg.start[:2] != leg.end[:2]
     return [leg.start, *circle, leg.start] if is_on_circle else circle

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import shapely
 
+from jaxurban.flights.missions.parts import circle_around
 from jaxurban.io.zone import Zone
 from jaxurban.world.extent import polygonal
-from jaxurban.world.grid import WGS84, transformer
 
 EARTH = shapely.box(-180, -90, 180, 90)
-CHORDS = 180  # of a quarter of a circle: they leave one of 1 km by 1 cm
+CHORDS = 720  # of a circle: they leave one of 1 km by 1 cm
 MOST_RADIUS_M = 1e6  # around a city no such circle holds a pole, about which degrees go round
 
 
@@ -61,9 +61,7 @@ def _circle(circle: Any) -> np.ndarray:
     """Return ``[N, 2]`` latitude and longitude in degrees of places on a circle; ValueError where it is too large."""
     ((lat, lon),) = _places([circle["center"]])
     radius_m = float(circle["radius"])
-    if radius_m > MOST_RADIUS_M:
+    if not 0 < radius_m <= MOST_RADIUS_M:
         raise ValueError(radius_m)
-    ring = shapely.Point(0, 0).buffer(radius_m, CHORDS)
-    around = transformer(f"+proj=aeqd +lat_0={lat} +lon_0={lon} +datum=WGS84", WGS84)
-    lonlat = around.transform(*shapely.get_coordinates(ring).T)
-    return np.column_stack(lonlat[::-1])
+    lons, lats = circle_around(lon, lat, radius_m, np.linspace(0, 360, CHORDS + 1))
+    return np.column_stack([lats, lons])

@@ -145,10 +145,8 @@ def read_plan(
         )
     speed_m_s = number_of("its speed", mission.get(speed))
 
-    mission = mission_of(
-        name, items, len(rows), start, notes, flown_by, return_altitude_m, speed_m_s
-    )
-    return replace(mission, zones=zones)
+    flown = mission_of(name, items, len(rows), start, notes, flown_by, return_altitude_m, speed_m_s)
+    return replace(flown, zones=zones)
 
 
 def read_waypoints(

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
+import numpy as np
 import pyproj
 
 from jaxurban.io.zone import Zone
@@ -277,6 +278,15 @@ def check_place(what: str, lon: float, lat: float, height_m: float = 0.0) -> Non
         )
     if abs(height_m) > MOST_HEIGHT_M:
         raise DamagedError(f"{what} has a height of {height_m:g} m, which no drone reaches")
+
+
+def circle_around(
+    lon: float, lat: float, radius_m: float, azimuths_deg: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return longitudes and latitudes in degrees of places on a circle, clockwise from north around its centre."""
+    lons, lats, radii_m = np.full((len(azimuths_deg), 3), [lon, lat, radius_m]).T
+    lons, lats, _ = GEOD.fwd(lons, lats, azimuths_deg, radii_m)
+    return lons, lats
 
 
 def first_sentences(sentences: Sequence[str]) -> tuple[str, ...]:
