@@ -304,9 +304,8 @@ def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
 
 def _is_ignored(name: str) -> bool:
     """Return whether a property, by its plain name, sounds like a height and is not read."""
-    read = {*map(_plain, FLOOR_NAMES), *map(_plain, CEILING_NAMES)}
     is_height = HEIGHT_NAME.search(name) and not UNIT_NAME.search(name)
-    return bool(is_height) and name not in read
+    return bool(is_height) and name not in map(_plain, FLOOR_NAMES + CEILING_NAMES)
 
 
 def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:

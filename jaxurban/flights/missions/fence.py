@@ -63,5 +63,4 @@ def _circle(circle: Any) -> np.ndarray:
     radius_m = float(circle["radius"])
     if not 0 < radius_m <= MOST_RADIUS_M:
         raise ValueError(radius_m)
-    lons, lats = circle_around(lon, lat, radius_m, np.linspace(0, 360, CHORDS + 1))
-    return np.column_stack([lats, lons])
+    return circle_around(lon, lat, radius_m, np.linspace(0, 360, CHORDS + 1))[::-1].T

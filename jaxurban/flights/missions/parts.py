@@ -280,13 +280,10 @@ def check_place(what: str, lon: float, lat: float, height_m: float = 0.0) -> Non
         raise DamagedError(f"{what} has a height of {height_m:g} m, which no drone reaches")
 
 
-def circle_around(
-    lon: float, lat: float, radius_m: float, azimuths_deg: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return longitudes and latitudes in degrees of places on a circle, clockwise from north around its centre."""
-    lons, lats, radii_m = np.full((len(azimuths_deg), 3), [lon, lat, radius_m]).T
-    lons, lats, _ = GEOD.fwd(lons, lats, azimuths_deg, radii_m)
-    return lons, lats
+def circle_around(lon: float, lat: float, radius_m: float, azimuths_deg: np.ndarray) -> np.ndarray:
+    """Return ``[2, N]`` longitude and latitude in degrees of places on a circle, by their azimuths from its centre."""
+    around = np.broadcast_arrays(lon, lat, azimuths_deg, radius_m)
+    return np.stack(GEOD.fwd(*around)[:2])
 
 
 def first_sentences(sentences: Sequence[str]) -> tuple[str, ...]:
