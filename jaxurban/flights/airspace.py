@@ -30,7 +30,7 @@ from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, readable, warn
 from jaxurban.flights.missions.parts import circle_around
 from jaxurban.io.broken import BROKEN
-from jaxurban.io.sniff import sniff, unpacked
+from jaxurban.io.sniff import in_own_words, sniff, unpacked
 from jaxurban.io.tables import is_blank
 from jaxurban.io.zone import TURN, Zone, made_valid
 from jaxurban.public import listed
@@ -193,7 +193,7 @@ def _of_vector_file(path: Path, content: bytes, kind: str) -> list[Zone]:
                 )
             remarks: Remarks = []
             limits_m = _heights(facts, f"{name!r} of {file!r}", remarks)
-            shape = shapely.force_2d(shape if shape else NOWHERE)
+            shape = shapely.force_2d(shape or NOWHERE)
             if shapely.get_dimensions(shape) == 2 and not shape.is_empty:
                 whole = _whole(shape, remarks, is_lonlat=frame.crs.is_geographic)
                 zones.append(Zone(name, whole, crs, *limits_m, file, remarks=tuple(remarks)))
@@ -209,7 +209,7 @@ def _of_vector_file(path: Path, content: bytes, kind: str) -> list[Zone]:
 
     num_more = len(OUTLINE.findall(content)) - num_outlines
     num_lost = max(num_beside, num_more, _num_features(content) - num_read)
-    return zones + _not_read(num_lost + _num_without_shape(content, path), file)
+    return zones + _not_read(num_lost + _num_without_shape(content), file)
 
 
 def _not_read(num: int, file: str) -> list[Zone]:
@@ -244,13 +244,14 @@ def _num_shapes(name: object, values: pd.Series) -> int:
     return values.count() if is_named or holds_them else 0
 
 
-def _num_without_shape(content: bytes, path: Path) -> int:
+def _num_without_shape(content: bytes) -> int:
     """Return how many rows a GeoPackage holds in tables without shapes, but for the styles of QGIS."""
     if not content.startswith(SQLITE):
         return 0
-    names = [name for name, shapes in pyogrio.list_layers(path) if shapes is None]
-    tables = [name for name in names if name != "layer_styles"]
-    return sum(pyogrio.read_info(path, layer=name)["features"] for name in tables)
+    with in_own_words():  # of what has no name, as its name does not end as it should
+        names = [name for name, shapes in pyogrio.list_layers(content) if shapes is None]
+        tables = [name for name in names if name != "layer_styles"]
+        return sum(pyogrio.read_info(content, layer=name)["features"] for name in tables)
 
 
 def _plain(name: object) -> str:

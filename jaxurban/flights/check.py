@@ -13,7 +13,7 @@ import shapely
 
 from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
-from jaxurban.flights.by_autopilot import as_one, joined
+from jaxurban.flights.by_autopilot import as_one, concatenated
 from jaxurban.flights.check_result import MissionCheck, flown_by
 from jaxurban.flights.contacts import Prisms, buildings_of, union_m
 from jaxurban.flights.flown import figures_of
@@ -162,7 +162,7 @@ def check(
         exceeded, open_limits = _against_maxima(flight, numbers, max_no_fix_m, max_people)
         open_limits += unknown_cautions(limits.zones)
         sentences = _not_judged(maps, standing, flight, buildings, parts, open_limits)
-        found[name] = joined([findings, exceeded])
+        found[name] = concatenated([findings, exceeded])
         unknown[name] = pd.DataFrame({"what": sentences})
         flown[name] = flight, numbers
         departures.append(departures_of(flight, buildings, known, limits))

@@ -6,7 +6,7 @@ thousands. No straight line between waypoints is lower than planned: these are r
 Over maps with terrain points are added until no line is more than `GROUND_TOLERANCE_M` higher.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,33 +65,31 @@ def upward(height_m: np.ndarray) -> np.ndarray:
 
 
 def facts_of(
-    route: PlannedPath,
-    report: RouteReport | None,
-    *,
-    is_alone: bool = True,
-    is_flown: bool = True,
-) -> dict[str, Any]:
-    """Return the facts of a path by name, its ``cautions`` among them.
+    routes: Named, report: RouteReport | None, *, is_flown: bool = True
+) -> Iterator[tuple[str, PlannedPath, dict[str, Any]]]:
+    """Yield paths with their names, and the facts of each by name, its ``cautions`` among them.
+
+    With other paths only what the maps guess is a caution, since all other cautions take some hundredths of a second
+    for each path.
 
     Args:
-      route: the path.
-      report: the report of the path, whose totals, settings and ``segments`` are added.
-      is_alone: whether the file holds no other path. With other paths only what the maps guess is a caution, since all
-        other cautions take some hundredths of a second for each path.
+      routes: the paths with their names.
+      report: the report of the one path, whose totals, settings and ``segments`` are added.
       is_flown: whether autopilots or their ground stations read the file, as long as nobody knows better.
 
     Raises:
       InputError: a path that is flown, and of whose zones it is not known what they close.
     """
-    for said in unknown_cautions(route.zones) if is_flown else ():
-        raise InputError(f"no mission is written (a .geojson is), as {said[:-1]}")
-    report_facts = {} if report is None else report.to_dict()
-    facts = report_facts | route.to_dict()
-    vehicle = Vehicle.of(route.settings)
-    if vehicle.speed_m_s is not None:
-        facts.setdefault("speed_m_s", vehicle.speed_m_s)
-    facts["cautions"] = route.cautions if is_alone else guess_cautions(route.maps)
-    return facts | {"height_reference": HEIGHT_REFERENCE}
+    for name, route in routes:
+        for said in unknown_cautions(route.zones) if is_flown else ():
+            raise InputError(f"no mission is written (a .geojson is), as {said[:-1]}")
+        report_facts = {} if report is None else report.to_dict()
+        facts = report_facts | route.to_dict()
+        vehicle = Vehicle.of(route.settings)
+        if vehicle.speed_m_s is not None:
+            facts.setdefault("speed_m_s", vehicle.speed_m_s)
+        facts["cautions"] = route.cautions if len(routes) == 1 else guess_cautions(route.maps)
+        yield name, route, facts | {"height_reference": HEIGHT_REFERENCE}
 
 
 def description_of(facts: dict[str, Any], *more: str) -> str:

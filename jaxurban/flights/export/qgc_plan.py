@@ -80,10 +80,9 @@ def to_qgc_plan(routes: Named, report: RouteReport | None, end: MissionEnd = "la
         raise InputError(
             f"a .plan holds one path, and these are {len(routes)}: write a file for each"
         )
-    ((_, route),) = routes
 
     # What the file says: the facts of the path, its waypoints, the height of home and the rings to keep out of.
-    facts = facts_of(route, report)
+    ((_, route, facts),) = facts_of(routes, report)
     speed_m_s = facts.get("speed_m_s")
     along = waypoints(route)
     home_m = 0.0 if along.ground_m is None else float(upward(along.ground_m[0]))

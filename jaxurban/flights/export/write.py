@@ -63,8 +63,7 @@ def to_geojson(routes: Named, report: RouteReport | None) -> bytes:
       report: of the one path, whose facts become properties too; or None.
     """
     features = []
-    for name, route in routes:
-        facts = facts_of(route, report, is_alone=len(routes) == 1, is_flown=False)
+    for name, route, facts in facts_of(routes, report, is_flown=False):
         # A GIS takes nested properties for text, so that each number gets a property of its own too.
         for layer, cost in facts["cost_by_layer"].items():
             facts[f"cost_{layer}"] = cost
@@ -101,8 +100,7 @@ def to_gpx(routes: Named, report: RouteReport | None) -> bytes:
     root = Element(
         "gpx", xmlns="http://www.topografix.com/GPX/1/1", version="1.1", creator="jaxurban"
     )
-    for name, route in routes:
-        facts = facts_of(route, report, is_alone=len(routes) == 1)
+    for name, route, facts in facts_of(routes, report):
         element = SubElement(root, "rte")
         along = waypoints(route)
         SubElement(element, "name").text = name or _title(route, facts)
@@ -128,8 +126,7 @@ def to_kml(routes: Named, report: RouteReport | None) -> bytes:
     """
     root = Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = SubElement(root, "Document")
-    for name, route in routes:
-        facts = facts_of(route, report, is_alone=len(routes) == 1)
+    for name, route, facts in facts_of(routes, report):
         placemark = SubElement(document, "Placemark")
         SubElement(placemark, "name").text = name or _title(route, facts)
         SubElement(placemark, "description").text = description_of(facts)

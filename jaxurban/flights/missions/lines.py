@@ -9,7 +9,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from itertools import pairwise, zip_longest
+from itertools import compress, pairwise, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, ParseError, fromstring
@@ -586,7 +586,7 @@ def _check_filled(name: str, header: Sequence[str], rows: Sequence[Sequence[str]
     Litchi writes every value, so that those beside such a place may belong to another column.
     """
     for number, row in enumerate(rows, start=1):
-        cells = [cell for title, cell in zip(header, row, strict=False) if title.strip()]
+        cells = compress(row, map(str.strip, header))  # below a title
         if len(row) != len(rows[-1]) or not all(map(str.strip, cells)):
             raise InputError(
                 f"row {number} of {name!r} has {len(row)} values, blank ones among them, for {len(header)} columns: "

@@ -140,7 +140,7 @@ class Mission:
     @property
     def ways(self) -> "dict[str, Mission]":
         """The mission as each autopilot flies it, by its name; by ``""`` where there is one way."""
-        return {BOTH[0]: self, BOTH[1]: self.other} if self.other else {"": self}
+        return dict(zip(BOTH, (self, self.other), strict=True)) if self.other else {"": self}
 
     @property
     def autopilots(self) -> tuple[Autopilot, ...]:
@@ -282,7 +282,7 @@ def check_place(what: str, lon: float, lat: float, height_m: float = 0.0) -> Non
 
 def circle_around(lon: float, lat: float, radius_m: float, azimuths_deg: np.ndarray) -> np.ndarray:
     """Return ``[2, N]`` longitude and latitude in degrees of places on a circle, by their azimuths from its centre."""
-    around = np.broadcast_arrays(lon, lat, azimuths_deg, radius_m)
+    around: Any = np.broadcast_arrays(lon, lat, azimuths_deg, radius_m)
     return np.stack(GEOD.fwd(*around)[:2])
 
 
