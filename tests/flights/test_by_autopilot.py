@@ -203,6 +203,7 @@ def test_a_mission_that_both_fly_alike_is_judged_once(tmp_path):
         ([up(), to(200, 300), (201, 3, (9, 9), 0.0, HOVER)], 2),
         ([up(), to(200, 300), down(200, 300), up(), to(300, 300)], 5),
         ([up(), to(200, 300), down(200, 300)], None),
+        ([up(), to(200, 300), (LAND, 3, None, 0.0, HOVER)], None),
         ([up(), to(200, 300), (RETURN, 3, None, 0.0, HOVER)], None),
     ],
 )
@@ -229,21 +230,23 @@ def test_a_loiter_for_ever_is_named_as_such_and_a_line_ends_in_the_air(tmp_path)
     assert said.startswith("It ends in the air at point 2: ")
 
 
-@pytest.mark.parametrize("command", [WAYPOINT, UNLIMITED, TIMED, TO_ALT, LAND, TAKEOFF])
+@pytest.mark.parametrize("command", [WAYPOINT, TIMED, TO_ALT, LAND, TAKEOFF])
 def test_px4_takes_0_0_for_a_place_so_that_such_an_item_is_not_judged_for_it(tmp_path, command):
     scene = world((300.0, 500.0, 5.0, 5.0))
     there = (command, 3, None, 30.0, HOVER)
     rows = [there, to(300, 300)] if command == TAKEOFF else [up(), to(300, 300), there]
     text = wpl(scene, *rows)
-    item = 1 + rows.index(there)
-    said = f"item {item} is judged where the vehicle is, and PX4 takes its 0, 0 for a place"
-    for autopilot, begin in ((None, f"Flown by PX4: I{said[1:]}"), ("px4", f"I{said[1:]}")):
+    said = f"items that have it ({1 + rows.index(there)})"
+    told = {}
+    for autopilot in (None, "px4", "ardupilot"):
         result = checked(scene, tmp_path, text, "m.waypoints", autopilot=autopilot)
-        assert result.state == "not-judged"
-        assert any(each.startswith(begin) for each in result.not_judged)
-    alone = checked(scene, tmp_path, text, "m.waypoints", autopilot="ardupilot")
-    assert alone.state == ("not-judged" if command == UNLIMITED else "clean")
-    assert said[8:] not in " ".join(alone.not_judged)
+        places = [
+            each for each in ("notes", "not_judged") if said in " ".join(getattr(result, each))
+        ]
+        told[autopilot] = (result.state, places)
+    assert told[None] == ("clean", ["notes"])  # such a file was written for ArduPilot
+    assert told["px4"] == ("not-judged", ["not_judged"])
+    assert told["ardupilot"] == ("clean", [])
 
 
 def test_returns_are_named_for_both_and_the_worst_is_in_the_table(tmp_path):

@@ -299,13 +299,6 @@ class FlownItems:
             self._say(
                 f"item {item.number} is flown as an aeroplane, whose turns and glide path are not judged"
             )
-        # FeasibilityChecker.cpp (checkHorizontalDistanceToFirstWaypoint; up to 1.13 MIS_DIST_WPS, too) and
-        # mission_base.cpp (do_need_move_to_item) of PX4, and its issue 18239.
-        if self.autopilot == "px4" and command in PLACED and (item.lon, item.lat) == (0, 0):
-            self._say(
-                f"item {item.number} is judged where the vehicle is, and PX4 takes its 0, 0 for a place, refuses the "
-                "mission or flies there: give it a place"
-            )
         leads_somewhere = command in HAS_HEIGHT or (command in LANDINGS and item.has_coordinates)
         if leads_somewhere and item.datum is None:
             self._pass_over(item, f"command {command} in a frame that is none of the Earth")

@@ -34,7 +34,14 @@ from jaxurban.flights.missions.parts import (
     one_value,
     whole_of,
 )
+from jaxurban.public import listed
 
+# FeasibilityChecker.cpp (checkHorizontalDistanceToFirstWaypoint; up to 1.13 MIS_DIST_WPS, too) and mission_base.cpp
+# (do_need_move_to_item) of PX4, and its issue 18239. ArduPilot stays, so a file with it was written for that.
+ZERO_PLACE = (
+    "PX4 takes 0, 0 for a place, and refuses the mission or flies there; here items that have it ({}) stay where the "
+    "vehicle is."
+)
 HEADER = "QGC WPL 110"
 OF_PARROT = "QGC WPL 120"  # with the same columns
 NUM_COLUMNS = 12
@@ -245,9 +252,15 @@ def mission_of(
     if not items:
         raise InputError(f"{name!r} holds no items: give a mission that has some")
     planned_m_s = speed_m_s if speed_m_s > 0 else None
+    placed = [item for item in items if item.command in PLACED]
+    zeros = [str(item.number) for item in placed if (item.lon, item.lat) == (0, 0)]
     missions = []
     for flyer in flyers(autopilot):
         flown = FlownItems(items, start[0], return_altitude_m, flyer)
+        if zeros and autopilot == "px4":
+            flown.not_judged.append(ZERO_PLACE.format(listed(zeros)))
+        elif zeros and autopilot == "unknown":
+            flown.notes.append(ZERO_PLACE.format(listed(zeros)))
         sentences = first_sentences([*flown.not_judged, *notes])
         if not flown.legs and not sentences:
             raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
