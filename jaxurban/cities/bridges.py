@@ -59,6 +59,7 @@ def bridges_of(outlines: Outlines, waters: np.ndarray) -> KindSizes:
         for named in (HIGH, HANGING)
     )
     is_high |= (outlines.texts("man_made") == DECK) | ~np.isin(movable, ("", "no"))
+    is_high |= outlines.says("railway", ["monorail"]) | outlines.says("viaduct", ["yes"])
     is_hanging |= _is_long(outlines.polygons) & _crosses(outlines.polygons, waters)
 
     lanes = read_column(outlines.column("lanes"), parse_count)

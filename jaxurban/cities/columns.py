@@ -14,7 +14,7 @@ from jaxurban import settings
 from jaxurban.cities.estimates import FIGURES, METHODS, SOURCES, with_estimates
 from jaxurban.cities.heights import FOOT_M, is_given, parse_length_m, read_column
 from jaxurban.cities.kinds import NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING
-from jaxurban.cities.rules import IN_WORDS, KINDS
+from jaxurban.cities.rules import BY_VALUE, IN_WORDS, KINDS
 from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue
 from jaxurban.settings import MAX_HEIGHT_M, Unit
@@ -29,10 +29,10 @@ CUT_LETTERS = 10  # of a column's name in a Shapefile
 COLUMNS = {
     "part": "building_part building_p building_id building_i",
     "height": "height height_m building_height building_h measuredheight measured_height "
-    "measuredhe measured_h est_height",
+    "measuredhe measured_h est_height seamark_light_height seamark_light_1_height seamark_landmark_height",
     "levels": "building_levels building_l levels num_floors storeysaboveground nb_etages nombre_d_etages "
     "numberoffloorsaboveground numberoffl anzahlgs gro_flo_co stories "
-    "floors numfloors storeys storeysabo nombre_d_e",
+    "floors numfloors storeys storeysabo nombre_d_e parking_levels",
     "roof_levels": "roof_levels roof_level",
     "min_height": "min_height building_min_height",
     "min_level": "building_min_level min_level min_floor",
@@ -49,17 +49,13 @@ COLUMNS = {
 OF_OTHERS = (
     "layer",
     "level",
-    "parking",
-    "natural",
-    "landuse",
-    "waterway",
-    "highway",
-    "railway",
     "lanes",
+    "tunnel",
     "indoor",
     "bridge_structure",
     "bridge_movable",
     *IN_WORDS,
+    *(key for key in BY_VALUE if key not in COLUMNS),
 )
 for key in ("building", *OF_OTHERS, *KINDS):  # also of what is not in use, or not yet
     name = key.replace(":", "_")
@@ -69,6 +65,8 @@ for key in ("building", *OF_OTHERS, *KINDS):  # also of what is not in use, or n
 for key in OF_LIFE:
     for life, reason in NOT_BUILT.items():
         COLUMNS[reason] = f"{COLUMNS.get(reason, '')} {life}_{key}"
+# Rough figures. A light ends above its focal plane, whose height is that over high water.
+ROUGH = {"est_height", *(f"seamark_{each}_height" for each in ("light", "light_1", "landmark"))}
 UNDERGROUND_COLUMN = "is_underground"  # of Overture Maps: true or false
 BELOW = dict.fromkeys(("true", "1"), ReadIssue.UNDERGROUND.value)  # as OpenStreetMap writes it
 NESTED = ("tags", "other_tags", "all_tags")  # of query-overpass and GDAL: all tags in one text
@@ -162,11 +160,11 @@ def tags_of(columns: Mapping[Any, np.ndarray], file_name: str = "") -> dict[str,
         if UNDERGROUND_COLUMN not in values and ids.notna().all() and ids.is_unique:
             values.pop(name, None)
 
-    if "est_height" in values:  # a rough figure
-        estimate = values["est_height"]
+    for name in ROUGH.intersection(values):
+        estimate = values[name]
         rough = np.array([f"~{value}" for value in estimate], object)
         rough[~is_given(estimate)] = None
-        values["est_height"] = rough
+        values[name] = rough
 
     tags: dict[str, np.ndarray] = {}
     for tag, names in COLUMNS.items():

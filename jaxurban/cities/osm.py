@@ -18,7 +18,7 @@ from jaxurban.cities.columns import tags_of
 from jaxurban.cities.kinds import NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING, WATERS, Nothing
 from jaxurban.cities.osm_plain import plain_osm
 from jaxurban.cities.outlines import Outlines
-from jaxurban.cities.rules import BY_VALUE, KINDS, THINGS
+from jaxurban.cities.rules import ALONE, BY_VALUE, KINDS, THINGS
 from jaxurban.errors import readable
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.sniff import in_own_words, sniff, unpacked
@@ -26,8 +26,12 @@ from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import WGS84, Bounds
 
 BUILDINGS = ("building", "building:part")  # keys
+HEIGHTS = (
+    *("height", "est_height", "building:height", "seamark:light:height", "seamark:light:1:height"),
+    "seamark:landmark:height",
+)
 MAYBE = (  # keys of what may stand
-    *(*BUILDINGS, "height", "est_height", *KINDS),
+    *(*BUILDINGS, "building:levels", *HEIGHTS, *KINDS),
     *(f"{life}:{key}" for life in STANDING for key in OF_LIFE),
     *(f"{life}:{key}" for life in NOT_IN_USE for key in KINDS if key not in OF_LIFE),
     *(f"{life}:building" for life in NOT_BUILT),
@@ -40,16 +44,28 @@ SOME = {  # values of keys of which others do not stand; what is water says whic
     key: {*BY_VALUE.get(key, ()), *WATERS.get(key, ())} for key in (*BY_VALUE, *WATERS)
 }
 METHODS = ("source:height", "height:source")  # which say how a height is known
+# Of points those of grounds, places and low things are left out: there are many.
+AREAS_ALONE = {
+    (key, value)
+    for key, rules in BY_VALUE.items()
+    for value, name in rules.items()
+    if name in ALONE or " of lone areas" in name
+}
+OF_POINTS = {
+    key: {value for value in values if (key, value) not in AREAS_ALONE}
+    for key, values in SOME.items()
+}
 OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *(*BUILDINGS, "height", "building:levels", "levels", "roof:levels", "min_height"),
     *("building:min_level", "building:levels:underground", "location", "layer", "level"),
     *("parking", "man_made", "building:height", "est_height", "tower:type", "bridge:support"),
     *("aerialway", "attraction", "roller_coaster", *METHODS),
 )
-OF_LAMPS = ("highway", "height", "location", "level", "indoor")
+OF_LAMPS = ("highway", "amenity", "height", "location", "level", "indoor", "layer")
 OF_TREES = ("natural", "height", "est_height", "diameter_crown", "location", "level", *METHODS)
 TAGS = {
-    *(*OF_BUILDINGS, *OF_TREES, *MAYBE, *SOME, "railway", "lanes", "indoor", "diameter", "width"),
+    *(*OF_BUILDINGS, *OF_TREES, *MAYBE, *SOME, "lanes", "indoor", "diameter", "width", "tunnel"),
+    "parking:levels",
     *("bridge:structure", "bridge:movable", "tower:construction"),
     *("rotor:diameter", "height:hub", "power_source"),
     *(f"generator:{name}" for name in ("source", "method", "type")),
@@ -59,11 +75,14 @@ TO_WKB = osmium.geom.WKBFactory()
 Key = tuple[str, int]  # "n", "w" or "r", and an id
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
-# And what `_may_stand` leaves out. Lamps are apart, as streets have their key.
+# And what `_may_stand` leaves out. Lamps and gantries are apart, as streets have their key, and so are stands of
+# hunters, as many other points have theirs.
 KEYS = {*MAYBE, *SOME, "layer"} - {"highway"}
 MAY_STAND = KeyFilter(*KEYS)
 MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type")  # of relations
-LAMPS = KeyFilter("highway")  # of nodes
+NOT_OF_POINTS = {key for key, values in OF_POINTS.items() if not values} | {"amenity"}
+POINTS = KeyFilter(*(KEYS - NOT_OF_POINTS)).enable_for(osmium.osm.NODE)
+LAMPS = KeyFilter("highway", "amenity")  # of nodes
 NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
 
 
@@ -126,7 +145,7 @@ class _Objects:
     def _read_objects(self, path: str | Path) -> None:
         """Read what may stand, and relations of buildings."""
         processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(NO_WAYS)
-        processor = processor.with_filter(MAY_STAND_OR_TYPE)
+        processor = processor.with_filter(MAY_STAND_OR_TYPE).with_filter(POINTS)
         self.places: Any = processor.node_location_storage
         item: Any
         for item in processor:
@@ -140,7 +159,7 @@ class _Objects:
             if kind == "r":
                 if not self._keep_relation(item, tags):
                     continue
-            elif not _may_stand(tags):
+            elif not _may_stand(tags, is_point=kind == "n"):
                 continue
             elif kind == "n":
                 self.shapes[key] = TO_WKB.create_point(item)
@@ -149,16 +168,29 @@ class _Objects:
             self.tags[key] = tags
 
     def node(self, lamp: Any) -> None:
-        """Keep what may be a lamp, for which pyosmium calls this."""
-        if not _is_some("highway", lamp.tags["highway"]):
+        """Keep what may be a lamp, or a stand of hunters, for which pyosmium calls this."""
+        tags = lamp.tags
+        if not any(_is_some(key, tags.get(key, ""), True) for key in ("highway", "amenity")):
             return
         self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
         self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
 
     def way(self, way: Any) -> None:
-        """Keep the line of a way that is asked for, for which pyosmium calls this too."""
+        """Keep the line of a way that is asked for, and gantries, for which pyosmium calls this too."""
         if way.id in self.ids:
             self._keep_line(way)
+        if _is_some("highway", way.tags.get("highway", "")):
+            self._keep_way(way)
+
+    def _keep_way(self, way: Any) -> None:
+        """Keep a way that may stand and is no area."""
+        key = "w", way.id
+        tags = _tags_of(way.tags)
+        if key not in self.areas and _may_stand(tags):
+            self.tags[key] = tags
+            self.ways_of[key] = [way.id]
+            self._keep_line(way)
+            (self.closed if way.is_closed() else self.open_ways).add(key)
 
     def _keep_relation(self, item: Any, tags: dict[str, str]) -> bool:
         """Keep the members of a relation that may need them; return whether it may stand itself, by its tags."""
@@ -205,15 +237,7 @@ class _Objects:
         item: Any
         for item in ways.with_filter(places).handler_for_filtered(self):
             self.way(item)
-            key = "w", item.id
-            if key in self.areas:
-                continue
-            tags = _tags_of(item.tags)
-            if _may_stand(tags):
-                self.tags[key] = tags
-                self.ways_of[key] = [item.id]
-                self._keep_line(item)
-                (self.closed if item.is_closed() else self.open_ways).add(key)
+            self._keep_way(item)
         self.degenerate = {
             key
             for key in self.closed - self.missing - self.of_members.keys()
@@ -282,20 +306,21 @@ def _all_of(items: Any) -> Iterator[Any]:
     return islice(items, len(items))
 
 
-def _may_stand(tags: dict[str, str]) -> bool:
-    """Return whether an object with these tags (`_tags_of`) may stand, or is water."""
+def _may_stand(tags: dict[str, str], is_point: bool = False) -> bool:
+    """Return whether an object with these tags (`_tags_of`) may stand, or is water or ground."""
     if not tags.keys().isdisjoint(SURE) or tags.get("barrier", "kerb") not in LOW_BARRIERS:
         return True
     for key in SOME.keys() & tags.keys():
-        if _is_some(key, tags[key]):
+        if _is_some(key, tags[key], is_point):
             return True
     return tags.get("layer", "0") > "0" and ("highway" in tags or "railway" in tags)
 
 
 @lru_cache(maxsize=2**12)
-def _is_some(key: str, text: str) -> bool:
+def _is_some(key: str, text: str, is_point: bool = False) -> bool:
     """Return whether a value of a key, or one of a list with semicolons, is one of `SOME`, in any case."""
-    return any(word.strip().lower() in SOME[key] for word in text.split(";"))
+    some = (OF_POINTS if is_point else SOME)[key]
+    return any(word.strip().lower() in some for word in text.split(";"))
 
 
 def _each_side_once(line: shapely.Geometry) -> shapely.Geometry:

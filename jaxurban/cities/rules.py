@@ -1,14 +1,17 @@
 """What stands: one table of rules, which give a feature a kind, a reason why nothing stands, or unknown.
 
-A rule holds for a feature by the values of a key (``KEY: VALUE VALUE ...``, in small letters; ``KEY of points: ...`` of
-points alone), or by a sign of `signs.py` that has its name. Of all rules that hold **the strongest decides, of
-equally strong ones the last of the table**; its name stays with what stands (`Footprints.rule`). From the weakest:
+A rule holds for a feature by the values of a key (``KEY: VALUE VALUE ...``, in small letters; ``KEY of SHAPE: ...`` of
+what has a shape alone: points, or what is lone), or by a sign of `signs.py` that has its name. Of all rules that hold
+**the strongest decides, of equally strong ones the last of the table**; its name stays with what stands
+(`Footprints.rule`). From the weakest:
 
-- `ALONE`: what decides only where no other rule holds.
+- `ALONE`: what decides only where no other rule holds, as grounds and places do, and what is low by its name. What lies
+  in a building of the file names a place in it, and what holds some is the ground of them: neither is lone.
 - `REASON`: a reason why nothing stands.
 - `GROUNDS`: something of no kind, which stands only with a height of its own, as the grounds of a plant do.
 - `UNSURE`: something of unknown kind or extent. Values are no sign of it where something is low or stands indoors, nor
   is the word yes of a pond, which says that this is historic or made.
+- `HOUSES`: a building that another key than ``building`` names; without an area it is unknown.
 - `SURE`: a structure of a known kind.
 - `BUILDINGS`: a building, which the bound of what else it is bounds too.
 
@@ -31,6 +34,7 @@ from jaxurban.cities.kinds import (
     HISTORIC,
     HULL,
     IN_SPANS,
+    LOW_LIMIT_M,
     LOW_M,
     MONUMENT,
     RIDE,
@@ -42,12 +46,12 @@ from jaxurban.cities.kinds import (
     Nothing,
 )
 from jaxurban.cities.outlines import Outlines
-from jaxurban.cities.signs import NO, ZERO, Signs
+from jaxurban.cities.signs import NO, ZERO, Signs, are_lone
 from jaxurban.io.issues import ReadIssue
 from jaxurban.io.learned import PACKAGED
 from jaxurban.world.footprints import BUILDING, UNKNOWN
 
-REASON, GROUNDS, UNSURE, SURE = range(4)
+ALONE_ITSELF, REASON, GROUNDS, UNSURE, HOUSES, SURE = range(6)
 LOW = Nothing(f"ends below {LOW_M:g} m")
 GROUND = Nothing("is part of the ground, or level with it or with water")
 FIXED = Nothing("is part of what stands, or fixed to it")
@@ -68,16 +72,65 @@ TREE = Kind(
 POWER_LINE = Kind("wire", 30.0, 100.0, 15.0, IN_SPANS)
 PHONE_LINE = Kind("wire", 10.0, 30.0, source=IN_SPANS)
 CABLEWAY = Kind("cableway", 30.0, radius_m=5.0)
+GANTRY = Kind("canopy", 6.0, 20.0)
+SHED = Kind(UNKNOWN, 0.0, LOW_LIMIT_M, source="as of houses and sheds")
+SLENDER = Kind(UNKNOWN, 0.0, 30.0, 2.0)
+LARGE = Kind(UNKNOWN, 0.0, 150.0, 5.0, "chosen; Wembley's arch ends at 133 m, Jeddah Light as well")
 Gives = Kind | Nothing | Literal["building"]
 # Columns that name kinds by our own words; some words say as well what sort a building is, and are none of these.
 OWN_KEYS = ("kind", "class", "type")
 OURS = (CHIMNEY, TOWER, MAST, CRANE, SILO, POLE, PYLON, TURBINE, TREE, WOOD, POWER_LINE, CABLEWAY)
 ALONE: dict[str, Gives] = {
     "nothing of the table": Nothing("names nothing that stands", ReadIssue.NOT_BUILDINGS),
+    # Grounds, on which what stands has outlines of its own.
+    "amenity: school university college kindergarten hospital parking parking_space motorcycle_parking grave_yard "
+    "marketplace research_institute prep_school bus_station taxi car_sharing car_rental bicycle_rental boat_rental "
+    "waste_transfer_station dog_toilet animal_training biergarten": GROUND,
+    "parking: surface street_side on_street lane on_kerb half_on_kerb shoulder layby inline diagonal perpendicular "
+    "yes no": GROUND,
+    "leisure: pitch park playground garden common schoolyard track sports_centre recreation_ground nature_reserve "
+    "dog_park golf_course miniature_golf disc_golf_course swimming_pool swimming_area bathing_place beach_resort "
+    "resort marina slipway horse_riding fishing fitness_station outdoor_seating village_green wildlife_reserve "
+    "summer_camp paddling_pool": GROUND,
+    "tourism: attraction theme_park zoo viewpoint camp_site caravan_site camp_pitch picnic_site yes": GROUND,
+    "aeroway: aerodrome heliport helipad apron runway taxiway taxilane stopway holding_position parking_position "
+    "aircraft_crossing airstrip spaceport landingpad highway_strip": GROUND,
+    "railway: platform platform_edge turntable traverser yard site junction "
+    "level_crossing crossing railway_crossing switch": GROUND,
+    "public_transport: platform": GROUND,
+    "military: airfield base naval_base training_area danger_area range trench exclusion_zone obstacle_course": GROUND,
+    "emergency: landing_site assembly_point fire_water_pond water_rescue_station": GROUND,
+    "seamark:type: berth harbour anchorage fairway dredged_area restricted_area shoreline_construction gate": GROUND,
+    # Places, which are buildings or lie in them.
+    "amenity: place_of_worship restaurant cafe fast_food bar pub ice_cream food_court bank pharmacy clinic dentist "
+    "doctors veterinary theatre cinema library townhall courthouse fire_station police post_office community_centre "
+    "arts_centre nightclub social_facility childcare embassy events_venue studio parking_entrance atm "
+    "ferry_terminal": NO_THING,
+    "tourism: hotel hostel guest_house museum gallery information apartment": NO_THING,
+    "public_transport: station stop_position stop_area stop_area_group": NO_THING,
+    "railway: station halt stop tram_stop facility": NO_THING,
+    "aeroway: gate": NO_THING,
+    # Low things.
+    "amenity: bench bicycle_parking bicycle_repair_station waste_basket waste_disposal recycling vending_machine "
+    "post_box drinking_water water_point watering_place telephone clock bbq shelter lounger charging_station "
+    "parcel_locker public_bookcase payment_terminal loading_dock life_ring feeding_place table fountain": LOW,
+    "leisure: picnic_table firepit": LOW,
+    "railway: subway_entrance buffer_stop milestone derail": LOW,
+    "advertising: poster_box board": LOW,
+    "memorial: plaque blue_plaque stolperstein grave ghost_bike bust stone bench tree urn tablet": LOW,
+    "artwork_type: bust stone dwarf fountain land_art": LOW,
+    "emergency: fire_hydrant phone fire_alarm_box fire_extinguisher fire_hose defibrillator life_ring lifebuoy "
+    "suction_point water_tank first_aid_kit": LOW,
+    "waterway: weir": LOW,
+    "seamark:type: mooring notice buoy_lateral buoy_cardinal buoy_special_purpose buoy_isolated_danger "
+    "buoy_safe_water": LOW,
+    "advertising: wall_painting": FIXED,
+    "artwork_type: mural painting relief mosaic graffiti frieze streetart tilework azulejo stained_glass": FIXED,
+    "parking: underground": BURIED,
     "area in a file that names no buildings": BUILDING,
     "height in words": UNLISTED,
 }
-THINGS: dict[str, Kind | Nothing] = {
+THINGS: dict[str, Gives] = {
     "height below 6 m": LOW,
     "form of the land, or a waterfall": GROUND,
     "razed": Nothing("does not stand any more", ReadIssue.RAZED),
@@ -96,6 +149,80 @@ THINGS: dict[str, Kind | Nothing] = {
     "natural: cliff": Kind(UNKNOWN, 0.0, 50.0),
     "landuse: forest": WOOD,
     "highway: street_lamp": LAMP,
+    "highway: gantry toll_gantry": GANTRY,
+    "highway of points: gantry toll_gantry": Kind("canopy", 6.0, 20.0, 15.0),  # from side to side
+    "highway of lone things: elevator": SHED,
+    "railway: signal_bridge gantry": GANTRY,
+    "railway: signal": LAMP,
+    "railway: water_tower": TOWER,
+    "railway: monorail": BRIDGE,
+    "railway: coaling_facility": UNLISTED,
+    "railway of lone things: ventilation_shaft crossing_box": SHED,
+    "viaduct: yes": BRIDGE,
+    "waterway: dam": Kind(UNKNOWN, 0.0, 350.0, 5.0, "chosen; Jinping-I is 305 m high"),
+    "waterway: lock_gate sluice_gate": SLENDER,
+    "waterway: boat_lift": LARGE,
+    "aeroway: windsock": POLE,
+    "aeroway: control_tower tower": TOWER,
+    "aeroway: jet_bridge": GANTRY,
+    "aeroway: navigationaid": UNLISTED,
+    "aeroway: balloon launchpad": LARGE,
+    "seamark:type: light_major light_vessel light_float": LARGE,
+    "seamark:type: light light_minor pile beacon_lateral beacon_cardinal beacon_isolated_danger beacon_safe_water "
+    "beacon_special_purpose buoy_installation": SLENDER,
+    "seamark:type: landmark": Kind(UNKNOWN, 0.0),  # a chimney, a mast or a tower as well
+    "seamark:type: platform": TOWER,
+    "seamark:type: pylon": PYLON,
+    "seamark:type: crane": CRANE,
+    "seamark:type: cable_overhead": POWER_LINE,
+    "seamark:type: pipeline_overhead conveyor": UNLISTED,
+    "advertising: billboard totem sign screen flag sculpture tarp": UNLISTED,
+    "advertising: column": LAMP,
+    "memorial: statue obelisk column tower arch monument": MONUMENT,
+    "memorial: war_memorial sculpture stele cross pavilion": SLENDER,
+    "artwork_type: statue obelisk column tower arch monument": MONUMENT,
+    "artwork_type: sculpture installation architecture totem totem_pole windmill": SLENDER,
+    "artwork of unknown type": UNLISTED,
+    "emergency: siren": SLENDER,
+    "emergency: lifeguard_tower": LAMP,
+    "amenity: hunting_stand": LAMP,
+    # Buildings that another key names.
+    "levels of a building": BUILDING,
+    "parking of lone things: multi-storey rooftop": BUILDING,
+    "parking of lone things: sheds carports garage garages garage_boxes": SHED,
+    "aeroway of lone things: hangar terminal": BUILDING,
+    "railway of lone things: engine_shed roundhouse signal_box workshop": BUILDING,
+    "leisure of lone things: sports_hall": BUILDING,
+    "leisure of lone things: stadium grandstand": LARGE,
+    "leisure of lone things: water_park water_slide high_ropes_course adventure_park": UNLISTED,
+    "leisure of lone things: bleachers bandstand bird_hide wildlife_hide": SHED,
+    "military of lone things: barracks bunker checkpoint": HULL,
+    "amenity of lone areas: place_of_worship monastery crematorium mortuary funeral_hall theatre cinema library "
+    "toy_library townhall courthouse public_building fire_station police prison embassy post_office post_depot "
+    "community_centre arts_centre conference_centre exhibition_centre events_venue concert_hall music_venue "
+    "planetarium studio casino gambling nightclub stripclub brothel swingerclub love_hotel bank bureau_de_change "
+    "pharmacy clinic doctors dentist veterinary nursing_home social_facility social_centre childcare restaurant cafe "
+    "fast_food bar pub food_court ice_cream internet_cafe coworking_space public_bath dojo driving_school "
+    "language_school music_school dancing_school vehicle_inspection ferry_terminal animal_boarding animal_shelter "
+    "animal_breeding ranger_station hookah_lounge": HULL,
+    "amenity of lone areas: fuel car_wash toilets shower kiosk stage dressing_room compressed_air boat_storage "
+    "sanitary_dump_station": SHED,
+    "leisure of lone areas: fitness_centre dance bowling_alley ice_rink amusement_arcade adult_gaming_centre "
+    "escape_game hackerspace indoor_play trampoline_park tanning_salon sauna social_club": HULL,
+    "tourism of lone areas: hotel motel hostel guest_house apartment apartments chalet alpine_hut wilderness_hut "
+    "museum gallery aquarium": HULL,
+    "shop of lone areas: mall department_store supermarket convenience wholesale general variety_store clothes shoes "
+    "jewelry optician books stationery electronics computer mobile_phone furniture kitchen interior_decoration "
+    "doityourself hardware trade paint garden_centre florist agrarian car car_repair car_parts caravan boat motorcycle "
+    "tyres bicycle sports outdoor toys gift art antiques second_hand charity bakery butcher deli beverages alcohol "
+    "greengrocer seafood confectionery pastry chemist beauty hairdresser cosmetics massage laundry dry_cleaning kiosk "
+    "newsagent tobacco ticket travel_agency funeral_directors pet copyshop rental storage_rental houseware fabric "
+    "vacant yes": HULL,
+    "office of lone areas: company government administrative diplomatic ngo association insurance financial lawyer "
+    "estate_agent it coworking research educational_institution telecommunication energy_supplier religion yes": HULL,
+    "public_transport of lone areas: station": HULL,
+    "railway of lone areas: station halt": HULL,
+    "emergency of lone areas: ambulance_station mountain_rescue": HULL,
     "location: overhead": Kind(UNKNOWN, 0.0, 30.0, 2.0),
     "location: overground": Kind(UNKNOWN, 0.0, 50.0),
     "location of points: overhead overground": LAMP,
@@ -113,7 +240,7 @@ THINGS: dict[str, Kind | Nothing] = {
     ),
     "man_made: silo gasometer": SILO,
     "man_made: flagpole utility_pole pole": POLE,
-    "man_made: canopy gantry goods_conveyor": Kind("canopy", 6.0, 20.0),
+    "man_made: canopy gantry goods_conveyor": GANTRY,
     "man_made: beam": Kind("canopy", 6.0, 15.0),  # of signs and signals over streets
     "man_made: bridge": BRIDGE,
     "man_made: works wastewater_plant water_works spoil_heap": SITE,
@@ -186,10 +313,14 @@ LABELS = {
 
 
 def _strength(name: str) -> int:
-    """Return how much a rule of `THINGS` counts beside others."""
+    """Return how much a rule counts beside others that hold by values."""
+    if name in ALONE:
+        return ALONE_ITSELF
     gives = THINGS[name]
     if isinstance(gives, Nothing):
         return REASON
+    if gives == BUILDING:
+        return HOUSES
     if gives is SITE:
         return GROUNDS
     return UNSURE if gives.name == UNKNOWN else SURE
@@ -201,15 +332,15 @@ NAMES = np.array([*RULES], object)
 GIVES = np.array([*RULES.values()], object)
 IS_UNSURE = np.array([name in THINGS and _strength(name) == UNSURE for name in RULES])
 VALUES: dict[str, dict[str, str]] = {}  # the rules by key, with the shape, and by value
-for name in THINGS:
+OF_KEYS: dict[str, dict[str, str]] = {}  # the strongest of all shapes, by key and value
+for name in RULES:
     key, _, values = name.partition(": ")
     for value in values.split():
         VALUES.setdefault(key, {})[value] = name
+        OF_KEYS.setdefault(key.partition(" of ")[0], {})[value] = name
 KINDS = {key: rules for key, rules in VALUES.items() if "*" in rules}
 IN_WORDS = {key: VALUES[key] for key in OWN_KEYS}
-BY_VALUE = {
-    key: rules for key, rules in VALUES.items() if key not in KINDS | IN_WORDS and " of " not in key
-}
+BY_VALUE = {key: rules for key, rules in OF_KEYS.items() if key not in KINDS | IN_WORDS}
 
 
 def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray]:
@@ -223,12 +354,20 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray]:
       Indices of `RULES`, ``[N]`` each.
     """
     held = [RANKS[name] * signs[name] for name in signs.keys() & (ALONE | THINGS)]
+    of_shapes: dict[str, list[np.ndarray]] = {"": []}
     for key, rules in VALUES.items():
         tag, _, shape = key.partition(" of ")
         if tag in outlines.tags:
-            held.append(_by_value(outlines, signs, tag, rules) * signs.get(shape, True))
+            of_shapes.setdefault(shape, []).append(_by_value(outlines, signs, tag, rules))
+    for shape, ranks in of_shapes.items():
+        by_value = reduce(np.maximum, ranks, np.zeros(len(outlines.polygons), np.int16))
+        if shape.startswith("lone"):
+            by_value *= are_lone(outlines, signs["building"], by_value > 0)
+        held.append(by_value * signs.get(shape, True))
     beside = reduce(np.maximum, held)
-    return reduce(np.maximum, [RANKS[name] * signs[name] for name in BUILDINGS], beside), beside
+    decided = reduce(np.maximum, [RANKS[name] * signs[name] for name in BUILDINGS], beside)
+    is_thin = (GIVES[decided] == BUILDING) & ~signs["areas"]
+    return np.where(is_thin, RANKS["building without an area"], decided), beside
 
 
 def _by_value(outlines: Outlines, signs: Signs, tag: str, rules: Mapping[str, str]) -> np.ndarray:

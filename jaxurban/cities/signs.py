@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from jaxurban.cities.bridges import DECK, is_raised
-from jaxurban.cities.heights import is_given, parse_height_m
+from jaxurban.cities.heights import is_given, parse_count, parse_height_m, read_column
 from jaxurban.cities.kinds import FALLS, LANDFORMS, LOW_M, NOT_BUILT, WIND
 from jaxurban.cities.outlines import Outlines
 from jaxurban.io.issues import ReadIssue
@@ -25,8 +25,8 @@ Signs = dict[str, Any]
 def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     """Return which of ``N`` features have a sign, ``[N]`` bool by its name.
 
-    Among them are shapes, ``"points"``, and what rules ask beside: ``"part"`` of a building, ``"low"`` or indoors, and
-    ``"pond"``.
+    Among them are shapes, ``"points"``, ``"areas"`` and those of which some may be lone, and what rules ask beside:
+    ``"part"`` of a building, ``"low"`` or indoors, and ``"pond"``.
 
     Args:
       outlines: the features.
@@ -36,13 +36,17 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     is_way = dimension > 0
     is_area = ~np.isin(dimension, (0, 1))  # what has no shape may have been one
     is_named = is_area  # as a building or as none; in a file that never says it every area is one
-    if "building" in outlines.tags:
+    has_names = "building" in outlines.tags
+    if has_names:
         is_named = outlines.texts("building") != ""
     height_m, is_worded = _heights_beside(outlines, ~is_named)
     is_low = (height_m < LOW_M) | _has(outlines, "indoor")
     is_traffic = is_raised(outlines)
     signs = {
         "points": ~is_way,
+        "areas": is_area,
+        "lone things": has_names,
+        "lone areas": is_area & has_names,
         "low": is_low,
         "pond": is_area & outlines.says("natural", ["water"]),
         "form of the land, or a waterfall": (
@@ -65,11 +69,17 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     }
     of_other = ("form of the land, or a waterfall", "razed", "planned", "traffic above the ground")
     is_own = ~np.logical_or.reduce([signs[name] for name in of_other])
+    has_levels = read_column(outlines.column("levels"), parse_count) > 0
+    is_buried = outlines.says("parking", [ReadIssue.UNDERGROUND])
     is_high = is_own & (height_m >= LOW_M)
     is_beyond = is_own & (height_m > MAX_HEIGHT_M)
     return {
         **signs,
         **_building_signs(outlines, is_area, has_decks),
+        "levels of a building": has_levels & has_names & is_own & ~(is_named | is_buried),
+        "artwork of unknown type": (
+            outlines.says("tourism", ["artwork"]) & (outlines.texts("artwork_type") == "")
+        ),
         "height in words": is_worded,
         "height below 6 m": height_m < LOW_M,
         "height of 6 m or more": is_high,
@@ -92,6 +102,25 @@ def _building_signs(outlines: Outlines, is_area: np.ndarray, has_decks: bool) ->
         "building": is_building & is_area,
         "building without an area": is_building & ~is_area,
     }
+
+
+def are_lone(outlines: Outlines, is_building: np.ndarray, is_asked: np.ndarray) -> np.ndarray:
+    """Return which of the features that are asked for, ``[N]`` bool, lie in no building and hold none.
+
+    A middle decides, as outlines need not be valid.
+
+    Args:
+      outlines: the features.
+      is_building, is_asked: ``[N]`` bool.
+    """
+    is_lone = is_asked.copy()
+    shapes, buildings = outlines.polygons[is_asked], outlines.polygons[is_building]
+    index, near = shapely.STRtree(buildings).query(shapes)
+    shapes, buildings = shapes[index], buildings[near]
+    is_within = shapely.within(shapely.point_on_surface(shapes), buildings)
+    holds = shapely.within(shapely.point_on_surface(buildings), shapes)
+    is_lone[np.flatnonzero(is_asked)[index[is_within | holds]]] = False
+    return is_lone
 
 
 def _has(outlines: Outlines, name: str) -> np.ndarray:

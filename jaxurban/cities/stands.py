@@ -67,7 +67,8 @@ def _is_below(outlines: Outlines) -> np.ndarray:
     is_parking &= outlines.says("building", GARAGES) & ~(levels > 0)
     is_on_levels_below = _is_on_levels_below(outlines)
     is_flat = ~is_given(outlines.column("height"))
-    is_below = is_flat & (is_on_levels_below | is_without_levels | is_parking)
+    is_tube = outlines.says("railway", ["monorail"]) & outlines.says("tunnel", ["yes"])
+    is_below = is_flat & (is_on_levels_below | is_without_levels | is_parking | is_tube)
     return is_below | (outlines.texts("location") == ReadIssue.UNDERGROUND)
 
 

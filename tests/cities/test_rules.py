@@ -28,7 +28,7 @@ def deciding(shape, **tags):
 @pytest.mark.parametrize(
     ("shape", "tags", "rule"),
     [
-        (PLACE, {"amenity": "bench"}, "nothing of the table"),
+        (PLACE, {"craft": "tailor"}, "nothing of the table"),
         (PLACE, {"amenity": "bench", "height": "1"}, "height below 6 m"),
         (PLACE, {"natural": "tree", "height": "18"}, "natural: tree tree_row"),
         (AREA, {"man_made": "windmill", "building": "yes"}, "building"),
@@ -80,7 +80,7 @@ def test_every_rule_without_values_has_its_sign_and_no_two_rules_have_one_name()
     assert len(RULES) == len(ALONE) + len(THINGS) + len(BUILDINGS)
     nothing = Outlines(np.empty(0, object), {}, "EPSG:32618", (), {})
     without_values = {name for name in RULES if ": " not in name}
-    beside = {"points", "low", "pond", "part"}
+    beside = {"points", "areas", "lone things", "lone areas", "low", "pond", "part"}
     assert signs_of(nothing, False).keys() - beside == without_values - {"nothing of the table"}
 
 
