@@ -1,5 +1,6 @@
 """OpenStreetMap files: what may stand of them, assembled by pyosmium."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
@@ -9,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import osmium
-import pandas as pd
 import shapely
-from osmium.filter import EntityFilter, KeyFilter
+from osmium.filter import EmptyTagFilter, EntityFilter, KeyFilter
 from osmium.geom import use_nodes
 
 from jaxurban.cities.columns import tags_of
@@ -77,11 +77,16 @@ OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
 # And what `_may_stand` leaves out. Lamps and gantries are apart, as streets have their key, and so are stands of
 # hunters, as many other points have theirs.
-KEYS = {*MAYBE, *SOME, "layer"} - {"highway"}
+# Keys that come with others are none, and the commonest come first: a filter takes as long as it has keys to ask for.
+ASKED_APART = {"highway", "artwork_type", *HEIGHTS[3:]}
+KEYS = [
+    key for key in dict.fromkeys((*BUILDINGS, *SOME, "layer", *MAYBE)) if key not in ASKED_APART
+]
 MAY_STAND = KeyFilter(*KEYS)
-MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type")  # of relations
+MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type").enable_for(osmium.osm.RELATION)
 NOT_OF_POINTS = {key for key, values in OF_POINTS.items() if not values} | {"amenity"}
-POINTS = KeyFilter(*(KEYS - NOT_OF_POINTS)).enable_for(osmium.osm.NODE)
+POINTS = KeyFilter(*(key for key in KEYS if key not in NOT_OF_POINTS))
+POINTS.enable_for(osmium.osm.NODE)
 LAMPS = KeyFilter("highway", "amenity")  # of nodes
 NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
 
@@ -145,7 +150,8 @@ class _Objects:
     def _read_objects(self, path: str | Path) -> None:
         """Read what may stand, and relations of buildings."""
         processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(NO_WAYS)
-        processor = processor.with_filter(MAY_STAND_OR_TYPE).with_filter(POINTS)
+        for of_it in EmptyTagFilter(), MAY_STAND_OR_TYPE, POINTS:
+            processor = processor.with_filter(of_it)
         self.places: Any = processor.node_location_storage
         item: Any
         for item in processor:
@@ -170,7 +176,10 @@ class _Objects:
     def node(self, lamp: Any) -> None:
         """Keep what may be a lamp, or a stand of hunters, for which pyosmium calls this."""
         tags = lamp.tags
-        if not any(_is_some(key, tags.get(key, ""), True) for key in ("highway", "amenity")):
+        if not (
+            _is_some("highway", tags.get("highway", ""))
+            or _is_some("amenity", tags.get("amenity", ""), True)
+        ):
             return
         self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
         self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
@@ -185,8 +194,10 @@ class _Objects:
     def _keep_way(self, way: Any) -> None:
         """Keep a way that may stand and is no area."""
         key = "w", way.id
+        if key in self.areas:
+            return
         tags = _tags_of(way.tags)
-        if key not in self.areas and _may_stand(tags):
+        if _may_stand(tags):
             self.tags[key] = tags
             self.ways_of[key] = [way.id]
             self._keep_line(way)
@@ -254,23 +265,27 @@ class _Objects:
                 self.tags[key] = {"building": "yes"} | of_relation | own
 
         no_shape = self.ways_of.keys() & self.tags.keys() - self.shapes.keys() - self.degenerate
+        built: dict[Key, shapely.Geometry] = {}
         for key in sorted(no_shape):
             known = [self.lines[way] for way in self.ways_of[key] if way in self.lines]
             shape = known[0] if len(known) == 1 else shapely.union_all(known)
             if key in self.areas or key in self.of_members:
-                built = shapely.build_area(shapely.union_all(known))
-                self.num_repaired += not built.is_empty
-                shape = shape if built.is_empty else built
+                area = shapely.build_area(shapely.union_all(known))
+                self.num_repaired += not area.is_empty
+                shape = shape if area.is_empty else area
             if not shape.is_empty or key in self.areas:
-                self.shapes[key] = shape.wkb_hex
+                built[key] = shape
+        self.shapes |= zip(built, shapely.to_wkb([*built.values()], hex=True), strict=True)
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """``[N]`` the tags of what has a shape, by name, None where one is missing."""
-        rows = [{"building": None, **self.tags[key]} for key in self.shapes]
-        table = pd.DataFrame(rows, dtype=object)
-        table = table.where(table.notna(), None)
-        return {name: table[name].to_numpy() for name in map(str, table)}
+        missing = np.full(len(self.shapes), None, object)
+        columns = defaultdict(missing.copy, building=missing.copy())
+        for row, key in enumerate(self.shapes):
+            for name, value in self.tags[key].items():
+                columns[name][row] = value
+        return columns
 
     @property
     def issues(self) -> ReadIssues:
