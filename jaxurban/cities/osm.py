@@ -44,14 +44,14 @@ SOME = {  # values of keys of which others do not stand; what is water says whic
     key: {*BY_VALUE.get(key, ()), *WATERS.get(key, ())} for key in (*BY_VALUE, *WATERS)
 }
 METHODS = ("source:height", "height:source")  # which say how a height is known
-# Of points those of grounds, places and low things are left out: there are many.
+# Of points and lines those of grounds, places and low things are left out: there are many.
 AREAS_ALONE = {
     (key, value)
     for key, rules in BY_VALUE.items()
     for value, name in rules.items()
     if name in ALONE or " of lone areas" in name
 }
-OF_POINTS = {
+THIN = {
     key: {value for value in values if (key, value) not in AREAS_ALONE}
     for key, values in SOME.items()
 }
@@ -84,8 +84,8 @@ KEYS = [
 ]
 MAY_STAND = KeyFilter(*KEYS)
 MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type").enable_for(osmium.osm.RELATION)
-NOT_OF_POINTS = {key for key, values in OF_POINTS.items() if not values} | {"amenity"}
-POINTS = KeyFilter(*(key for key in KEYS if key not in NOT_OF_POINTS))
+NOT_THIN = {key for key, values in THIN.items() if not values} | {"amenity"}
+POINTS = KeyFilter(*(key for key in KEYS if key not in NOT_THIN))
 POINTS.enable_for(osmium.osm.NODE)
 LAMPS = KeyFilter("highway", "amenity")  # of nodes
 NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
@@ -165,7 +165,7 @@ class _Objects:
             if kind == "r":
                 if not self._keep_relation(item, tags):
                     continue
-            elif not _may_stand(tags, is_point=kind == "n"):
+            elif not _may_stand(tags, is_thin=kind == "n"):
                 continue
             elif kind == "n":
                 self.shapes[key] = TO_WKB.create_point(item)
@@ -197,7 +197,7 @@ class _Objects:
         if key in self.areas:
             return
         tags = _tags_of(way.tags)
-        if _may_stand(tags):
+        if _may_stand(tags, is_thin=True):
             self.tags[key] = tags
             self.ways_of[key] = [way.id]
             self._keep_line(way)
@@ -321,20 +321,20 @@ def _all_of(items: Any) -> Iterator[Any]:
     return islice(items, len(items))
 
 
-def _may_stand(tags: dict[str, str], is_point: bool = False) -> bool:
+def _may_stand(tags: dict[str, str], is_thin: bool = False) -> bool:
     """Return whether an object with these tags (`_tags_of`) may stand, or is water or ground."""
     if not tags.keys().isdisjoint(SURE) or tags.get("barrier", "kerb") not in LOW_BARRIERS:
         return True
     for key in SOME.keys() & tags.keys():
-        if _is_some(key, tags[key], is_point):
+        if _is_some(key, tags[key], is_thin):
             return True
     return tags.get("layer", "0") > "0" and ("highway" in tags or "railway" in tags)
 
 
 @lru_cache(maxsize=2**12)
-def _is_some(key: str, text: str, is_point: bool = False) -> bool:
+def _is_some(key: str, text: str, is_thin: bool = False) -> bool:
     """Return whether a value of a key, or one of a list with semicolons, is one of `SOME`, in any case."""
-    some = (OF_POINTS if is_point else SOME)[key]
+    some = (THIN if is_thin else SOME)[key]
     return any(word.strip().lower() in some for word in text.split(";"))
 
 

@@ -354,36 +354,44 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray]:
       Indices of `RULES`, ``[N]`` each.
     """
     held = [RANKS[name] * signs[name] for name in signs.keys() & (ALONE | THINGS)]
+    words = {tag: pd.factorize(outlines.texts(tag)) for tag in OF_KEYS.keys() & outlines.tags}
     of_shapes: dict[str, list[np.ndarray]] = {"": []}
     for key, rules in VALUES.items():
         tag, _, shape = key.partition(" of ")
-        if tag in outlines.tags:
-            of_shapes.setdefault(shape, []).append(_by_value(outlines, signs, tag, rules))
-    for shape, ranks in of_shapes.items():
-        by_value = reduce(np.maximum, ranks, np.zeros(len(outlines.polygons), np.int16))
+        if tag in words:
+            ranks = _by_value(*words[tag], signs, rules, "building" in outlines.tags)
+            of_shapes.setdefault(shape, []).append(ranks)
+    for shape, of_keys in of_shapes.items():
+        ranks = reduce(np.maximum, of_keys, np.zeros(len(outlines.polygons), np.int16))
+        ranks *= signs.get(shape, True)
         if shape.startswith("lone"):
-            by_value *= are_lone(outlines, signs["building"], by_value > 0)
-        held.append(by_value * signs.get(shape, True))
+            ranks *= are_lone(outlines, signs["building"], ranks > 0)
+        held.append(ranks)
     beside = reduce(np.maximum, held)
     decided = reduce(np.maximum, [RANKS[name] * signs[name] for name in BUILDINGS], beside)
     is_thin = (GIVES[decided] == BUILDING) & ~signs["areas"]
     return np.where(is_thin, RANKS["building without an area"], decided), beside
 
 
-def _by_value(outlines: Outlines, signs: Signs, tag: str, rules: Mapping[str, str]) -> np.ndarray:
+def _by_value(
+    numbers: np.ndarray,
+    different: np.ndarray,
+    signs: Signs,
+    rules: Mapping[str, str],
+    has_numbers: bool,
+) -> np.ndarray:
     """Return ``[N]`` which rule decides by the values of a tag, as an index of `RULES`, 0 where none does.
 
     Args:
-      outlines, signs: as of `decide`.
-      tag: with the values.
+      numbers: ``[N]`` which value each has.
+      different: the values.
+      signs: as of `decide`.
       rules: by value.
+      has_numbers: as of `_strongest`.
     """
-    texts = outlines.texts(tag)
-    numbers, different = pd.factorize(texts)
-    has_numbers = "building" in outlines.tags  # and is no column of numbers
     deciding = [RANKS[_strongest(text, rules, has_numbers)] for text in different]
     ranks = np.array(deciding, np.int16)[numbers]
-    is_no_sign = signs["low"] | (signs["pond"] & (texts == "yes"))
+    is_no_sign = signs["low"] | (signs["pond"] & (different == "yes")[numbers])
     ranks[is_no_sign & IS_UNSURE[ranks]] = 0
     return ranks
 
