@@ -17,9 +17,9 @@ import tomli_w
 from jaxurban.checks import one_of
 from jaxurban.cities.census import read_blocks, read_districts
 from jaxurban.cities.download import Source, cache_folder, download
-from jaxurban.cities.kinds import WATERS, Kind
+from jaxurban.cities.kinds import WATERS, Nothing
 from jaxurban.cities.osm import MAYBE, read_osm
-from jaxurban.cities.rules import BY_VALUE, THINGS
+from jaxurban.cities.rules import BY_VALUE, OF_AREAS, RULES
 from jaxurban.errors import InputError, readable
 from jaxurban.io.broken import BROKEN
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
@@ -96,17 +96,22 @@ NONE_HERE = {  # reported where a file holds nothing for the region or the day
 }
 # All that the reader knows: by keys, of some by values, and ways of water and of raised traffic. Of barriers, of which
 # there are many, the commonest that are nothing are left there.
+AREAS: list[str] = []  # keys of which areas may stand by many values
 ASKED = [f'"{key}"' for key in MAYBE if key != "barrier"]
 ASKED += ['"barrier"]["barrier"!~"^(fence|hedge|kerb|bollard|gate)$"']
 for key, by_value in BY_VALUE.items():
-    kinds = [value for value, name in by_value.items() if isinstance(THINGS[name], Kind)]
-    ASKED += [f'"{key}"="{value}"' for value in kinds]
+    kinds = [value for value, name in by_value.items() if not isinstance(RULES[name], Nothing)]
+    lone = [value for value in kinds if OF_AREAS in by_value[value]]
+    kinds = [value for value in kinds if value not in lone]
+    ASKED += [f'"{key}"~"^({"|".join(kinds)})$"'] if kinds else []
+    AREAS += [key] if lone else []
 WAYS = [f'"{key}"~"^({"|".join(values)})$"' for key, values in WATERS.items()]
 WAYS += ['"highway"]["layer"~"^[1-9]"', '"railway"]["layer"~"^[1-9]"']
 OVERPASS = (
     "[out:xml][timeout:180][bbox:{south},{west},{north},{east}];("
     + "".join(f"nwr[{each}];" for each in ASKED)
     + "".join(f"way[{each}];" for each in WAYS)
+    + "".join(f'way["{key}"];relation["{key}"];' for key in AREAS)
     + 'relation["type"="building"];);(._;>;);out body;'
 )
 Settings = dict[str, Any]

@@ -18,7 +18,7 @@ from jaxurban.cities.columns import tags_of
 from jaxurban.cities.kinds import NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING, WATERS, Nothing
 from jaxurban.cities.osm_plain import plain_osm
 from jaxurban.cities.outlines import Outlines
-from jaxurban.cities.rules import ALONE, BY_VALUE, KINDS, THINGS
+from jaxurban.cities.rules import ALONE, BY_VALUE, KINDS, OF_AREAS, THINGS
 from jaxurban.errors import readable
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.sniff import in_own_words, sniff, unpacked
@@ -49,7 +49,7 @@ AREAS_ALONE = {
     (key, value)
     for key, rules in BY_VALUE.items()
     for value, name in rules.items()
-    if name in ALONE or " of lone areas" in name
+    if name in ALONE or OF_AREAS in name
 }
 THIN = {
     key: {value for value in values if (key, value) not in AREAS_ALONE}

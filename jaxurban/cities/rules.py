@@ -77,6 +77,7 @@ SHED = Kind(UNKNOWN, 0.0, LOW_LIMIT_M, source="as of houses and sheds")
 SLENDER = Kind(UNKNOWN, 0.0, 30.0, 2.0)
 LARGE = Kind(UNKNOWN, 0.0, 150.0, 5.0, "chosen; Wembley's arch ends at 133 m, Jeddah Light as well")
 Gives = Kind | Nothing | Literal["building"]
+OF_AREAS = " of lone areas: "  # of names of rules
 # Columns that name kinds by our own words; some words say as well what sort a building is, and are none of these.
 OWN_KEYS = ("kind", "class", "type")
 OURS = (CHIMNEY, TOWER, MAST, CRANE, SILO, POLE, PYLON, TURBINE, TREE, WOOD, POWER_LINE, CABLEWAY)

@@ -9,12 +9,12 @@ import pytest
 
 from benchmarks.common import ROOT
 from jaxurban.cities.kinds import UNLISTED, Kind
-from jaxurban.cities.rules import BY_VALUE, KINDS, LAMP, RULES, THINGS, VALUES
+from jaxurban.cities.rules import BY_VALUE, KINDS, LAMP, RULES, VALUES
 from tests.cities.generator.extracts import COUNTS
 from tests.renew_kinds import PAGE, renewed, table
 
 TABLE = {
-    key: {value: THINGS[name] for value, name in rules.items()}
+    key: {value: RULES[name] for value, name in rules.items()}
     for key, rules in (KINDS | BY_VALUE).items()
 }
 # Bridges and rides have a row for any value; what has a number for each layer is held by its own tests.

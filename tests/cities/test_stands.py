@@ -16,6 +16,7 @@ UTM = "EPSG:32618"
 AREA = box(0, 0, 10, 10)
 WAY = LineString([(0, 0), (30, 0)])
 PLACE = Point(5, 5)
+YARD = box(0, 0, 12, 12)
 # The octagon around a circle of a radius of 1: its area, and how far its corners lie.
 CROWN = 8 * np.tan(np.pi / 8)
 WIDE = 1 / np.cos(np.pi / 8)
@@ -411,3 +412,115 @@ def test_an_unknown_barrier_fills_its_area_and_its_border_is_as_thick_as_a_line(
     _, structures, _ = stand((AREA, {"barrier": "never_heard_of"}))
     reach = shapely.buffer(AREA, 1.0)
     assert shapely.area(structures.polygons) == pytest.approx([reach.area], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("shape", "tags", "kind", "height_m", "upper_m"),
+    [
+        # What another key names a building: a class guesses its height, or its levels do.
+        (YARD, {"amenity": "parking", "parking": "multi-storey"}, "building", 10, 100),
+        (YARD, {"amenity": "parking", "parking": "multi-storey", "parking:levels": "5"}, "building", 15, 40),
+        (YARD, {"shop": "mall", "building:levels": "6"}, "building", 18, 46),
+        (YARD, {"aeroway": "terminal"}, "building", 10, 100),
+        (YARD, {"aeroway": "hangar", "height": "18"}, "building", 18, 18),
+        (YARD, {"railway": "signal_box"}, "building", 10, 100),
+        (PLACE, {"aeroway": "hangar"}, "unknown", 0, 100),
+        # Premises, of which the building may be a part, by their size.
+        (YARD, {"amenity": "place_of_worship"}, "unknown", 0, 100),
+        (box(0, 0, 20, 20), {"amenity": "place_of_worship"}, "unknown", 0, np.inf),
+        (YARD, {"amenity": "place_of_worship", "height": "25"}, "structure", 25, 25),
+        (YARD, {"shop": "supermarket"}, "unknown", 0, 100),
+        (YARD, {"tourism": "Hotel"}, "unknown", 0, 100),
+        (YARD, {"amenity": "fuel"}, "unknown", 0, 25),
+        (YARD, {"leisure": "stadium"}, "unknown", 0, 150),
+        (YARD, {"leisure": "bleachers"}, "unknown", 0, 25),
+        # Over streets and rails.
+        (WAY, {"highway": "gantry"}, "canopy", 6, 20),
+        (PLACE, {"highway": "toll_gantry"}, "canopy", 6, 20),
+        (WAY, {"railway": "signal_bridge"}, "canopy", 6, 20),
+        (WAY, {"railway": "monorail"}, "bridge", 5.5, 100),
+        (WAY, {"railway": "rail", "viaduct": "yes"}, "bridge", 5.5, 100),
+        (PLACE, {"railway": "signal", "railway:signal:shunting:height": "dwarf"}, "unknown", 0, 15),
+        # What stands by itself.
+        (PLACE, {"advertising": "billboard"}, "unknown", 0, 50),
+        (PLACE, {"advertising": "totem"}, "unknown", 0, 50),
+        (PLACE, {"advertising": "column"}, "unknown", 0, 15),
+        (PLACE, {"tourism": "artwork", "artwork_type": "statue"}, "unknown", 0, 60),
+        (PLACE, {"tourism": "artwork"}, "unknown", 0, 50),
+        (PLACE, {"historic": "memorial", "memorial": "obelisk"}, "unknown", 0, 60),
+        (PLACE, {"historic": "memorial", "memorial": "war_memorial"}, "unknown", 0, 30),
+        (PLACE, {"seamark:type": "light_minor"}, "unknown", 0, 30),
+        (PLACE, {"seamark:type": "light_major"}, "unknown", 0, 150),
+        (PLACE, {"seamark:type": "light_major", "seamark:light:height": "40"}, "structure", 40, 150),
+        (PLACE, {"seamark:type": "crane"}, "crane", 30, np.inf),
+        (PLACE, {"aeroway": "windsock"}, "pole", 10, 30),
+        (AREA, {"aeroway": "control_tower"}, "tower", 30, np.inf),
+        (PLACE, {"emergency": "siren"}, "unknown", 0, 30),
+        (PLACE, {"amenity": "hunting_stand"}, "unknown", 0, 15),
+        (WAY, {"waterway": "dam"}, "unknown", 0, 350),
+        (PLACE, {"waterway": "lock_gate"}, "unknown", 0, 30),
+    ],
+)  # fmt: skip
+def test_what_other_keys_than_building_name_stands_by_its_value(
+    shape, tags, kind, height_m, upper_m
+):
+    buildings, structures, _ = stand((shape, tags))
+    (stands,) = [each for each in (buildings, structures) if len(each)]
+    assert stands.kinds.tolist() == [kind]
+    assert stands.height_m.tolist() == pytest.approx([height_m])
+    assert stands.upper_m.tolist() == pytest.approx([upper_m])
+
+
+@pytest.mark.parametrize(
+    ("shape", "tags", "reason"),
+    [
+        *((AREA, {"amenity": ground}, "not_standing") for ground in ("school", "university", "hospital", "parking")),
+        *((AREA, {"leisure": ground}, "not_standing") for ground in ("pitch", "park", "playground", "garden")),
+        (AREA, {"amenity": "parking", "parking": "surface"}, "not_standing"),
+        (AREA, {"amenity": "parking", "parking": "street_side"}, "not_standing"),
+        (AREA, {"amenity": "parking", "parking": "underground"}, "underground"),
+        (AREA, {"amenity": "parking", "parking": "underground", "parking:levels": "3"}, "underground"),
+        (AREA, {"tourism": "attraction"}, "not_standing"),
+        (AREA, {"aeroway": "apron"}, "not_standing"),
+        (AREA, {"demolished:building": "yes", "building:levels": "4"}, "razed"),
+        (AREA, {"building": "no", "building:levels": "4"}, "not_buildings"),
+        # A point of premises names a place in a building.
+        *((PLACE, {"amenity": place}, "not_standing") for place in ("restaurant", "place_of_worship", "bench")),
+        (PLACE, {"shop": "bakery"}, "not_buildings"),
+        (PLACE, {"tourism": "artwork", "artwork_type": "mural"}, "not_standing"),
+        (PLACE, {"historic": "memorial", "memorial": "plaque"}, "not_standing"),
+        (PLACE, {"advertising": "poster_box"}, "not_standing"),
+        (WAY, {"railway": "monorail", "tunnel": "yes"}, "underground"),
+        (WAY, {"railway": "platform"}, "not_standing"),
+    ],
+)  # fmt: skip
+def test_grounds_places_and_low_things_are_nothing_by_their_names(shape, tags, reason):
+    buildings, structures, issues = stand((shape, {"building": "", **tags}))
+    assert (len(buildings), len(structures)) == (0, 0)
+    assert issues == {reason: 1}
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        {"amenity": "place_of_worship"},
+        {"aeroway": "terminal"},
+        {"shop": "mall"},
+        {"leisure": "stadium"},
+    ],
+)
+def test_what_holds_a_building_or_lies_in_one_is_its_ground_or_a_place_in_it(tags):
+    house = {"building": "yes", "height": "12"}
+    for shape in (box(-20, -20, 40, 40), box(2, 2, 8, 8), AREA):
+        buildings, structures, _ = stand((AREA, house), (shape, tags))
+        assert (buildings.height_m.tolist(), len(structures)) == ([12], 0)
+    beside = stand((AREA, house), (box(10, 0, 20, 10), tags))
+    assert len(beside[0]) + len(beside[1]) == 2
+
+
+def test_a_table_that_names_no_buildings_holds_some_whatever_they_are_used_for():
+    uses = np.array(["school", "place_of_worship", "parking"], object)
+    shapes = np.array([box(20 * i, 0, 20 * i + 9, 9) for i in range(3)], object)
+    outlines = Outlines(shapes, tags_of({"amenity": uses}), UTM, ((0.0, 0.0, 1.0, 1.0),), {})
+    buildings, structures, *_ = to_buildings(ju.Buildings("uses.gpkg"), outlines, UTM)
+    assert (len(buildings), len(structures)) == (3, 0)
