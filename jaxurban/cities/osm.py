@@ -44,7 +44,7 @@ SOME = {  # values of keys of which others do not stand; what is water says whic
     key: {*BY_VALUE.get(key, ()), *WATERS.get(key, ())} for key in (*BY_VALUE, *WATERS)
 }
 METHODS = ("source:height", "height:source")  # which say how a height is known
-# Of points and lines those of grounds, places and low things are left out: there are many.
+# Of points and lines the names of grounds, places and low things are left out: there are many.
 AREAS_ALONE = {
     (key, value)
     for key, rules in BY_VALUE.items()
@@ -75,15 +75,16 @@ TO_WKB = osmium.geom.WKBFactory()
 Key = tuple[str, int]  # "n", "w" or "r", and an id
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
-# And what `_may_stand` leaves out. Lamps and gantries are apart, as streets have their key, and so are stands of
-# hunters, as many other points have theirs.
-# Keys that come with others are none, and the commonest come first: a filter takes as long as it has keys to ask for.
+# Keys of a filter, which passes some that `_may_stand` leaves out. It takes as long as it has keys to ask for, so the
+# commonest come first. Lamps and gantries are asked for apart, as streets have their key, and so are the stands of
+# hunters, as many other points have theirs; other keys are left out, as they come with keys that are there.
 ASKED_APART = {"highway", "artwork_type", *HEIGHTS[3:]}
 KEYS = [
     key for key in dict.fromkeys((*BUILDINGS, *SOME, "layer", *MAYBE)) if key not in ASKED_APART
 ]
 MAY_STAND = KeyFilter(*KEYS)
-MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type").enable_for(osmium.osm.RELATION)
+MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type")
+MAY_STAND_OR_TYPE.enable_for(osmium.osm.RELATION)
 NOT_THIN = {key for key, values in THIN.items() if not values} | {"amenity"}
 POINTS = KeyFilter(*(key for key in KEYS if key not in NOT_THIN))
 POINTS.enable_for(osmium.osm.NODE)
