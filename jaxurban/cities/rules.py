@@ -183,6 +183,7 @@ THINGS: dict[str, Gives] = {
     "memorial: war_memorial sculpture stele cross pavilion": SLENDER,
     "artwork_type: statue obelisk column tower arch monument": MONUMENT,
     "artwork_type: sculpture installation architecture totem totem_pole windmill": SLENDER,
+    "tourism: artwork": FIXED,  # where its type says so, as of a mural
     "artwork of unknown type": UNLISTED,
     "emergency: siren": SLENDER,
     "emergency: lifeguard_tower": LAMP,

@@ -8,15 +8,19 @@ from shapely.geometry import LineString, Point, box
 import jaxurban as ju
 from jaxurban.cities.buildings import to_buildings
 from jaxurban.cities.columns import tags_of
+from jaxurban.cities.kinds import Nothing
+from jaxurban.cities.osm import read_osm
 from jaxurban.cities.outlines import Outlines
-from jaxurban.cities.rules import KINDS
+from jaxurban.cities.rules import BY_VALUE, KINDS, OF_AREAS, RULES
 from jaxurban.world.footprints import HeightOrigin
+from tests.made_files import line, node, osm
 
 UTM = "EPSG:32618"
 AREA = box(0, 0, 10, 10)
 WAY = LineString([(0, 0), (30, 0)])
 PLACE = Point(5, 5)
 YARD = box(0, 0, 12, 12)
+COMPANIONS = {"artwork_type": {"tourism": "artwork"}}  # keys that come with others
 # The octagon around a circle of a radius of 1: its area, and how far its corners lie.
 CROWN = 8 * np.tan(np.pi / 8)
 WIDE = 1 / np.cos(np.pi / 8)
@@ -524,3 +528,26 @@ def test_a_table_that_names_no_buildings_holds_some_whatever_they_are_used_for()
     outlines = Outlines(shapes, tags_of({"amenity": uses}), UTM, ((0.0, 0.0, 1.0, 1.0),), {})
     buildings, structures, *_ = to_buildings(ju.Buildings("uses.gpkg"), outlines, UTM)
     assert (len(buildings), len(structures)) == (3, 0)
+
+
+def test_a_file_of_openstreetmap_is_read_for_every_value_that_stands(tmp_path):
+    tags = [(key, value, name) for key, rules in BY_VALUE.items() for value, name in rules.items()]
+    stands = [row for row in tags if not isinstance(RULES[row[2]], Nothing)]
+    points = [row for row in stands if OF_AREAS not in row[2]]
+    assert len(stands) > len(points) + 100 > 200
+    elements, wanted = [], []
+    for number, (key, value, _) in enumerate(points, 1):
+        elements.append(node(number, 8.5, 47.3, **COMPANIONS.get(key, {}), **{key: value}))
+        wanted.append(("Point", key, value))
+    for number, (key, value, _) in enumerate(stands, 1):
+        west, north = 8.5 + number / 1000, 47.4
+        ring = [(west, north), (west + 1e-4, north), (west, north + 1e-4), (west, north)]
+        elements.append(line(number, ring, **COMPANIONS.get(key, {}), **{key: value}))
+        wanted.append(("Polygon", key, value))
+    (tmp_path / "city.osm").write_text(osm(*elements))
+    outlines = read_osm(tmp_path / "city.osm")
+    shapes = [shape.geom_type.removeprefix("Multi") for shape in outlines.polygons]
+    shapes = ["Polygon" if shape == "LineString" else shape for shape in shapes]
+    of_keys = {key: outlines.texts(key) for key in BY_VALUE}
+    read = {(shape, key, of_keys[key][i]) for i, shape in enumerate(shapes) for key in BY_VALUE}
+    assert {*wanted} <= read
