@@ -1,7 +1,7 @@
 """OpenStreetMap files: what may stand of them, assembled by pyosmium."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from itertools import islice, pairwise
@@ -220,18 +220,26 @@ class _Objects:
             self.ways_of["r", item.id] = [each.ref for each in all_of_it if each.type == "w"]
         if of_type in ("site", "bridge"):
             self.areas.add(("r", item.id))
+            points = self._places(each.ref for each in _all_of(item.members) if each.type == "n")
+            if may_stand and points and not self.ways_of["r", item.id]:
+                self.shapes["r", item.id] = shapely.MultiPoint(points).wkb_hex
         return may_stand
+
+    def _places(self, nodes: Iterable[int]) -> list[tuple[float, float]]:
+        """Return the longitudes and latitudes of those nodes of some ids that are known."""
+        points = []
+        for node in nodes:
+            with suppress(KeyError):
+                place = self.places.get(node)
+                points.append((place.lon, place.lat))
+        return points
 
     def _keep_line(self, way: Any) -> None:
         """Keep the line of a way, and whether it lacks nodes."""
         try:
             line = shapely.from_wkb(bytes.fromhex(TO_WKB.create_linestring(way, use_nodes.ALL)))
         except (RuntimeError, osmium.InvalidLocationError):  # without the places of its nodes
-            points = []
-            for node in way.nodes:
-                with suppress(KeyError):
-                    place = self.places.get(node.ref)
-                    points.append((place.lon, place.lat))
+            points = self._places(node.ref for node in way.nodes)
             line = shapely.Point(points) if len(points) == 1 else shapely.LineString(points)
             if len(points) < len(way.nodes):
                 self.missing.add(("w", way.id))

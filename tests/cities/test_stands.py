@@ -551,3 +551,11 @@ def test_a_file_of_openstreetmap_is_read_for_every_value_that_stands(tmp_path):
     of_keys = {key: outlines.texts(key) for key in BY_VALUE}
     read = {(shape, key, of_keys[key][i]) for i, shape in enumerate(shapes) for key in BY_VALUE}
     assert {*wanted} <= read
+
+
+def test_a_site_of_points_alone_stands_where_these_are(tmp_path):
+    site = '<member type="node" ref="1" role=""/><tag k="type" v="site"/><tag k="tourism" v="artwork"/>'
+    relation = f'<relation id="1" version="1">{site}</relation>'
+    (tmp_path / "city.osm").write_text(osm(node(1, 8.5, 47.3), relation))
+    outlines = read_osm(tmp_path / "city.osm")
+    assert [shape.wkt for shape in outlines.polygons] == ["MULTIPOINT ((8.5 47.3))"]
