@@ -222,7 +222,7 @@ class Guess:
     @property
     def name(self) -> str:
         """A few words, for pictures."""
-        return self._with_facts(self.kind.value[0])
+        return re.sub(r"^1 (\w+)s\b", r"1 \1", self._with_facts(self.kind.value[0]))
 
     @property
     def sentence(self) -> str:
@@ -233,8 +233,6 @@ class Guess:
         """Return words with the record's own facts in their places."""
         place = "{:.5f}, {:.5f} (lon, lat)".format(*self.place) if self.place else ""
         own = {"share": percent(self.share), "number": self.number, "place": place}
-        if self.number == 1:
-            words = re.sub(r"({number:,} \w+)s\b", r"\1", words)
         return words.format_map({**self.facts, **own})
 
     def to_dict(self) -> dict[str, Any]:

@@ -215,7 +215,7 @@ def test_a_roof_above_the_highest_of_the_world_is_named_with_its_place(tmp_path,
     shapes = [shapely.box(lon, lat, lon + 1e-4, lat + 1e-4)]
     path = write_features(tmp_path / "a.geojson", (shapes[0], {"height": height_m}))
     city, guesses = city_of(path)
-    assert guesses == ("1 roofs above 828 m" if height_m > 828 else "")
+    assert guesses == ("1 roof above 828 m" if height_m > 828 else "")
     assert all(
         f"{height_m:g} m at {lon:.5f}, {lat:.5f}" in by_name(city.guesses)[name]
         for name in guesses.split(" | ")

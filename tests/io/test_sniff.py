@@ -461,7 +461,7 @@ def test_google_and_microsoft_are_read_as_they_publish(tmp_path):
     with pytest.warns(GuessWarning):
         google = city_of(tmp_path / "89c_buildings.csv.gz")
     microsoft = city_of(tmp_path / "part-00001.c000.csv.gz")
-    assert google.height_m.tolist() == [33, 33]
+    assert google.height_m.tolist() == [18.9, 18.9]
     assert sorted(microsoft.height_m) == [33, 60]
     for buildings in (google, microsoft):
         areas = shapely.area(buildings.polygons)

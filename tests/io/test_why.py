@@ -39,7 +39,7 @@ TEN = [
     ({"building": "yes", "height": "31"}, "building", "building", 31, "a height in its file", 31),
     ({"building": "yes", "building:levels": "4"}, "building", "building", 12,
      "its number of levels", 34),
-    ({"building": "house"}, "building", "building", 16.5, "a guess", 25),
+    ({"building": "house"}, "building", "building", 6.8, "a guess", 25),
     ({"building": "yes", "height": "~20"}, "building", "building", 20,
      "a rough figure in its file", INF),
     ({"man_made": "storage_tank"}, "tank", "man_made: tank storage_tank", 10, "a guess", 30),
