@@ -82,7 +82,7 @@ def built_shares(polygons: np.ndarray) -> np.ndarray:
     cells = pd.DataFrame(np.floor(centre_m / CELL_M), columns=["x", "y"])
     built_m2 = pd.Series(shapely.area(polygons)).groupby([cells["x"], cells["y"]]).sum()
     around_m2 = pd.Series(0.0, built_m2.index)
-    column, row = (built_m2.index.get_level_values(name) for name in cells)
+    column, row = (built_m2.index.get_level_values(name) for name in ("x", "y"))
     for x, y in product(range(-2, 3), repeat=2):
         beside = pd.MultiIndex.from_arrays([column + x, row + y])
         around_m2 += built_m2.reindex(beside, fill_value=0.0).to_numpy()
@@ -111,15 +111,14 @@ def learned_from(
             heights_m[(classes == name) & (heights_m > 0)] for heights_m in (given_m, counted_m)
         )
         guess_m, likely_m = PACKAGED.get(name, (None, None))
-        open_m = OPEN_GUESSES_M.get(name, guess_m)
         num_for_guess = num_known = 0
         if len(counted) >= LEAST_FOR_GUESS:
             guess_m, num_for_guess = float(np.median(counted)), len(counted)
-            open_m = guess_m
         if len(given) >= LEAST_KNOWN:
             likely_m, num_known = likely_of(given), len(given)
         if guess_m is None:
             continue
+        open_m = guess_m if num_for_guess else OPEN_GUESSES_M.get(name, guess_m)
         if likely_m is not None:
             likely_m = max(likely_m, guess_m)
         highest_m = float(given.max(initial=0.0))
