@@ -367,6 +367,7 @@ TABLE: dict[str, dict[str, Any]] = {
     "Buildings": HEIGHTS
     | {
         "highest_m": 5.0,
+        "heights": "estimated",
         "kind": Case("surface", refused="surface"),
         "default_height_m": 50.0,
         "level_height_m": 9.0,

@@ -197,7 +197,7 @@ def test_a_cell_without_its_low_point_is_level_and_counted(tmp_path, monkeypatch
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         city = ju.City.from_files(path)
-    said = "the lowest ground points in 1 cell of the terrain"
+    said = "the lowest ground points in 1 cells of the terrain"
     assert sum(str(each.message).startswith(said) for each in caught) == 1
     assert_scene(city)
     assert at(city.terrain, 50.05, 50.05) == pytest.approx(GROUND_M, abs=1e-3)
