@@ -2,7 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,13 +15,12 @@ from jaxurban.cities.kinds import (
     LEVEL_LIMIT_M,
     LIMIT_M,
     LOW_BUILDINGS,
-    LOW_LIMIT_M,
     ROUGH_LIMIT,
 )
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.solids import prisms_of_solids
 from jaxurban.cities.stands import is_water, what_stands
-from jaxurban.cities.structures import estimated_to_m, limits_by_name_m, to_structures
+from jaxurban.cities.structures import lengths_m, limits_by_name_m, to_structures
 from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.learned import (
@@ -47,23 +46,6 @@ STRIP_M = 2.0  # narrower is what parts that are drawn roughly leave of their ou
 SAME_HEIGHT_M = 0.5  # an outline and its highest part
 # Whose likely height is that of their class.
 OF_CLASS = (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE, HeightOrigin.ESTIMATED)
-RESHAPED = ("polygons", "height_m", "origin", "limit_m")
-
-
-class Projected(NamedTuple):
-    """Shapes in another CRS.
-
-    Attributes:
-      shapes: ``[N]`` of any kind.
-      is_sound: ``[N]`` bool, which could be made.
-      is_whole: ``[N]`` bool, but for those that lack a vertex, and areas that have become a line or a point.
-      issues: how many were repaired, are missing or empty, or lie where the CRS does not reach.
-    """
-
-    shapes: np.ndarray
-    is_sound: np.ndarray
-    is_whole: np.ndarray
-    issues: ReadIssues
 
 
 class Parts(NamedTuple):
@@ -126,8 +108,8 @@ def to_buildings(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
     buildings, of_buildings, of_heights = _buildings(features.take(is_building), file, learns)
-    waters = shapely.force_2d(outlines.polygons[is_water(outlines)])
-    waters = shapely.transform(shapely.make_valid(waters), to_city.transform, interleaved=False)
+    waters = shapely.make_valid(outlines.polygons[is_water(outlines)])
+    waters = shapely.transform(waters, to_city.transform, interleaved=False)
     others = features.take(~is_building)
     structures, of_kinds, of_others = to_structures(file, others, buildings, waters, learns)
     structures = _within(structures, file, buildings)
@@ -150,18 +132,15 @@ def _in_city(
       has_slabs: whether areas of bridges are decks.
     """
     features, left_out = what_stands(outlines, has_slabs)
-    prisms = prisms_of_solids(features)
-    projected = _project(prisms["polygon"].to_numpy(), outlines.crs, crs)
-    prisms = prisms[projected.is_sound]
+    prisms, of_shapes = _project(prisms_of_solids(features), outlines.crs, crs)
     features = features.take(prisms["feature"].to_numpy(int))
     height_m = prisms["height_m"].to_numpy(float)
     height = np.where(np.isnan(height_m), features.column("height"), height_m)
     tags = {**features.tags, "height": height, "rise_m": prisms["rise_m"].to_numpy(float)}
-    is_whole = projected.is_whole[projected.is_sound]
-    is_building = (tags["verdict"] == BUILDING) & is_whole & (height_m != 0)
+    is_building = (tags["verdict"] == BUILDING) & prisms["is_whole"].to_numpy() & (height_m != 0)
     num_solids = prisms["feature"][is_building & (height_m > 0)].nunique()
-    features = replace(features, polygons=projected.shapes[projected.is_sound], tags=tags)
-    return features, is_building, {**left_out, **projected.issues, ReadIssue.SOLIDS: num_solids}
+    features = replace(features, polygons=prisms["polygon"].to_numpy(), tags=tags)
+    return features, is_building, {**left_out, **of_shapes, ReadIssue.SOLIDS: num_solids}
 
 
 def _buildings(
@@ -178,8 +157,9 @@ def _buildings(
     if is_deck.any():
         layer = pd.to_numeric(pd.Series(found.texts("layer")), errors="coerce")
         buildings = with_decks(buildings, is_deck, layer.to_numpy(float))
-    parts = _own_parts(found.polygons, ~is_part & ~is_deck, is_part)
-    classes = _classes(found.polygons, is_part, is_deck)
+    is_outline = ~(is_part | is_deck)
+    parts = _own_parts(found.polygons, is_outline, is_part)
+    classes = _classes(found.polygons, is_outline, is_part)
     learned, highest_m = _learned(buildings, found, parts, classes, learns)
     if file.default_height_m is None:
         is_open = built_shares(found.polygons) < OPEN_SHARE
@@ -201,8 +181,7 @@ def _buildings(
         likely_m=_likelies_m(buildings, found, likely_m),
         rule=found.tags["rule"],
     )
-    is_bare = is_replaced & ((1 - parts.share) * shapely.area(found.polygons) > STRIP_M)
-    buildings, is_replaced = _beside_parts(buildings, parts, is_replaced, is_bare)
+    buildings, is_replaced = _beside_parts(buildings, parts, is_replaced)
     buildings = _within(buildings.take(~is_replaced), file)
     issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
     return buildings, learned, issues
@@ -210,8 +189,7 @@ def _buildings(
 
 def _with_guesses(buildings: Footprints, found: Outlines, guess_m: np.ndarray) -> Footprints:
     """Return buildings that have the guesses of their classes, ``[N]``, where the file says no height."""
-    is_low = found.says("building", LOW_BUILDINGS.split()) & (guess_m > LOW_LIMIT_M)
-    guess_m = np.where(is_low, LOW_LIMIT_M, guess_m)
+    guess_m = np.minimum(guess_m, limits_by_name_m(found, np.inf))
     height_m = np.where(buildings.height_m == 0, guess_m, buildings.height_m)
     return replace(buildings, height_m=height_m)
 
@@ -220,22 +198,21 @@ def _likelies_m(buildings: Footprints, found: Outlines, likely_m: np.ndarray) ->
     """Return ``[N]`` what is likely: of a class, ``likely_m``, over the underside and what the outline rises."""
     is_of_class = np.isin(buildings.origin, OF_CLASS)
     over_m = likely_m + buildings.min_height_m + found.tags["rise_m"]
-    return np.where(is_of_class, np.fmax(over_m, estimated_to_m(found)), np.inf)
+    return np.where(is_of_class, np.fmax(over_m, lengths_m(found, "estimated_to_m")), np.inf)
 
 
-def _classes(polygons: np.ndarray, is_part: np.ndarray, is_deck: np.ndarray) -> np.ndarray:
+def _classes(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray) -> np.ndarray:
     """Return the class of each building, ``[N]`` objects: by its size, or that of the outline that it lies in.
 
     A part that lies in none is a part `IN_NONE`, whatever it touches: of those of Murray Hill that touch a small
     building and nothing else 4 of 19 are higher than 100 m.
 
     Args:
-      polygons: ``[N]`` outlines and parts.
-      is_part: ``[N]`` bool.
-      is_deck: ``[N]`` bool, which are no buildings.
+      polygons: ``[N]`` outlines, parts and decks, which are no buildings.
+      is_outline, is_part: ``[N]`` bool.
     """
     area_m2 = shapely.area(polygons)
-    wholes = np.flatnonzero(~(is_part | is_deck))
+    wholes = np.flatnonzero(is_outline)
     middles = shapely.point_on_surface(polygons)
     inner, whole = shapely.STRtree(polygons[wholes]).query(middles, predicate="within")
     np.maximum.at(area_m2, inner, area_m2[wholes[whole]])
@@ -321,15 +298,15 @@ def _limits_m(
     """
     num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
     by_name_m = np.maximum(limits_by_name_m(found, LIMIT_M), found.tags["kind_limit_m"])
+    is_low = by_name_m < LIMIT_M
     is_higher = np.fmax(highest_m, likely_m) > by_name_m
-    others_m = np.where(is_higher, np.inf, by_name_m)
-    by_name_m = np.where(by_name_m < LIMIT_M, np.maximum(by_name_m, highest_m), others_m)
-    by_name_m += found.tags["rise_m"]
+    bounds_m = [np.maximum(by_name_m, highest_m), np.inf]
+    of_class_m = np.select([is_low, is_higher], bounds_m, by_name_m) + found.tags["rise_m"]
     limits_m = {
         HeightOrigin.LEVELS: LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M,
-        HeightOrigin.DEFAULT: by_name_m,
-        HeightOrigin.ROUGH: np.maximum(ROUGH_LIMIT * buildings.height_m, by_name_m),
-        HeightOrigin.ESTIMATED: np.fmax(by_name_m, estimated_to_m(found)),
+        HeightOrigin.DEFAULT: of_class_m,
+        HeightOrigin.ROUGH: np.maximum(ROUGH_LIMIT * buildings.height_m, of_class_m),
+        HeightOrigin.ESTIMATED: np.fmax(of_class_m, lengths_m(found, "estimated_to_m")),
     }
     of_origin = [buildings.origin == origin for origin in limits_m]
     above_m = np.select(of_origin, list(limits_m.values()), np.inf)
@@ -337,7 +314,7 @@ def _limits_m(
 
 
 def _beside_parts(
-    buildings: Footprints, parts: Parts, is_replaced: np.ndarray, is_bare: np.ndarray
+    buildings: Footprints, parts: Parts, is_replaced: np.ndarray
 ) -> tuple[Footprints, np.ndarray]:
     """Return buildings in which outlines cover what their parts leave, and which still give way to them, ``[N]`` bool.
 
@@ -349,10 +326,10 @@ def _beside_parts(
       buildings: ``N`` outlines and parts.
       parts: of the outlines.
       is_replaced: ``[N]`` bool, which outlines give way to their parts.
-      is_bare: ``[N]`` bool, which of these their parts do not cover as a whole.
     """
-    outline, part, _ = parts
-    columns: Any = {name: getattr(buildings, name).copy() for name in RESHAPED}
+    outline, part, share = parts
+    reshaped = _copied(buildings)
+    is_bare = is_replaced & ((1 - share) * shapely.area(buildings.polygons) > STRIP_M)
     is_known = buildings.origin == HeightOrigin.HEIGHT
     is_own = is_known[outline] & is_known[part] & ~is_replaced[outline]
     is_replaced = is_replaced.copy()
@@ -371,30 +348,37 @@ def _beside_parts(
         if rest.is_empty or (is_replaced[owner] and rest.buffer(-STRIP_M / 2).is_empty):
             continue
         is_replaced[owner] = False
-        columns["polygons"][owner] = rest
-        if not is_towers:
-            continue
-        columns["height_m"][owner] = lowest_m
-        columns["origin"][owner] = HeightOrigin.BESIDE_PARTS
-        columns["limit_m"][owner] = height_m
-    return replace(buildings, **columns), is_replaced
+        reshaped.polygons[owner] = rest
+        if is_towers:
+            assert reshaped.limit_m is not None
+            reshaped.height_m[owner] = lowest_m
+            reshaped.origin[owner] = HeightOrigin.BESIDE_PARTS
+            reshaped.limit_m[owner] = height_m
+    return reshaped, is_replaced
 
 
-def _project(shapes: np.ndarray, source: str, crs: str) -> Projected:
-    """Return shapes in another CRS, valid and without heights.
+def _copied(buildings: Footprints) -> Footprints:
+    """Return buildings in columns of their own, which may be written to."""
+    return buildings.take(np.arange(len(buildings)))
+
+
+def _project(prisms: pd.DataFrame, source: str, crs: str) -> tuple[pd.DataFrame, ReadIssues]:
+    """Return prisms in another CRS, valid and without heights, those that could be made, and what was met.
 
     Polygons alone in a MultiPolygon, as those of OpenStreetMap are made, come without it: maps burn them more quickly.
 
     Args:
-      shapes: ``[N]`` of any kind, None where there is none.
+      prisms: of `prisms_of_solids`; a polygon may be of any kind, and None where there is none.
       source: their CRS.
       crs: projected CRS of the result.
+
+    Returns:
+      A column more: ``is_whole``, false of what lacks a vertex, and of areas that have become a line or a point; and
+      how many were repaired, are missing or empty, or lie where the CRS does not reach.
     """
     to_city = transformer(source, crs).transform
-    if shapely.has_z(shapes).any():
-        shapes = shapely.force_2d(shapes)
-    shapes = shapely.transform(shapes, to_city, interleaved=False)
-    is_there = ~shapely.is_missing(shapes) & ~shapely.is_empty(shapes)
+    shapes = shapely.transform(prisms["polygon"].to_numpy(), to_city, interleaved=False)
+    is_there = shapely.get_num_coordinates(shapes) > 0
 
     # Of a shape that lacks vertices the hull of the others is left.
     vertices, shape = shapely.get_coordinates(shapes, return_index=True)
@@ -404,7 +388,7 @@ def _project(shapes: np.ndarray, source: str, crs: str) -> Projected:
     for index in np.flatnonzero(~is_whole):
         known = vertices[is_finite & (shape == index)]
         shapes[index] = shapely.convex_hull(shapely.multipoints(known))
-    is_sound = is_there & ~shapely.is_empty(shapes)
+    is_sound = shapely.get_num_coordinates(shapes) > 0
 
     to_repair = np.flatnonzero(is_sound & ~shapely.is_valid(shapes))
     made = [polygonal(valid) for valid in shapely.make_valid(shapes[to_repair], method="structure")]
@@ -421,7 +405,7 @@ def _project(shapes: np.ndarray, source: str, crs: str) -> Projected:
         ReadIssue.POLYGONS_REPAIRED: int(np.sum(~is_flat)),
         ReadIssue.POLYGONS_DROPPED: int(np.sum(~is_there)),
     }
-    return Projected(shapes, is_sound, is_whole, issues)
+    return prisms.assign(polygon=shapes, is_whole=is_whole)[is_sound], issues
 
 
 def _own_parts(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray) -> Parts:
@@ -431,13 +415,9 @@ def _own_parts(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray
       polygons: ``[N]`` valid polygons.
       is_outline, is_part: ``[N]`` bool, which of them are outlines, and which are parts.
     """
-    outlines = np.flatnonzero(is_outline)
-    parts = np.flatnonzero(is_part)
-    near_outline, near_part = shapely.STRtree(polygons[parts]).query(
-        polygons[outlines], predicate="intersects"
-    )
-    outline = outlines[near_outline]
-    part = parts[near_part]
+    outlines = np.where(is_outline, polygons, None)
+    parts = np.where(is_part, polygons, None)
+    outline, part = shapely.STRtree(parts).query(outlines, predicate="intersects")
     shared = shapely.intersection(polygons[outline], polygons[part])
     is_own = shapely.area(shared) >= BELONGING_SHARE * shapely.area(polygons[part])
     outline, part, shared = outline[is_own], part[is_own], shared[is_own]
@@ -461,27 +441,25 @@ def _podiums(
       is_replaced: ``[N]`` bool, which outlines give way to their parts.
     """
     outline, part, _ = parts
-    polygons = buildings.polygons.copy()
-    height_m = buildings.height_m.copy()
-    origin = buildings.origin.copy()
-    is_podium = np.zeros(len(polygons), bool)
+    podiums = _copied(buildings)
+    is_podium = np.zeros(len(podiums), bool)
     hangs = buildings.min_height_m > 0
     for owner in np.unique(outline[is_replaced[outline] & hangs[part]]):
         own = part[outline == owner]
         hanging = own[hangs[own]]
-        standing = shapely.union_all(polygons[own[~hangs[own]]])
-        below = shapely.intersection(polygons[hanging], buildings.polygons[owner])
+        standing = shapely.union_all(buildings.polygons[own[~hangs[own]]])
+        below = shapely.intersection(buildings.polygons[hanging], buildings.polygons[owner])
         bare = shapely.difference(below, standing)
         is_wide = shapely.area(bare) > PODIUM_M2
         hanging = hanging[is_wide]
         # Without a part over bare ground the owner itself, which is no higher than itself.
         lowest = hanging[np.argmin(buildings.min_height_m[hanging])] if len(hanging) else owner
         if buildings.min_height_m[lowest] > buildings.min_height_m[owner]:
-            polygons[owner] = polygonal(shapely.union_all(bare[is_wide]))
             is_podium[owner] = True
-            height_m[owner] = buildings.min_height_m[lowest]
-            origin[owner] = buildings.origin[lowest]
-    return replace(buildings, polygons=polygons, height_m=height_m, origin=origin), is_podium
+            podiums.polygons[owner] = polygonal(shapely.union_all(bare[is_wide]))
+            podiums.height_m[owner] = buildings.min_height_m[lowest]
+            podiums.origin[owner] = buildings.origin[lowest]
+    return podiums, is_podium
 
 
 def _with_outline_heights(buildings: Footprints, parts: Parts) -> tuple[Footprints, ReadIssues]:
@@ -497,25 +475,23 @@ def _with_outline_heights(buildings: Footprints, parts: Parts) -> tuple[Footprin
     Returns:
       ``N`` buildings, and how many parts were given a height and how many undersides were set to 0.
     """
-    outline, part, _ = parts
+    # From the lowest outline up, so that of several outlines of a part the highest is written last.
+    lowest_first = np.argsort(buildings.height_m[parts.outline], kind="stable")
+    outline, part = parts.outline[lowest_first], parts.part[lowest_first]
     height_m = buildings.height_m.copy()
     origin = buildings.origin.copy()
     is_default = origin == HeightOrigin.DEFAULT
     # A part that hangs above its outline's roof is not as high as it but higher.
-    takes = (
-        is_default[part] & ~is_default[outline] & (height_m[outline] > buildings.min_height_m[part])
-    )
-    # From the lowest outline up, so that of several outlines of a part the highest is written last.
-    outline, part = outline[takes], part[takes]
-    lowest_first = np.argsort(height_m[outline], kind="stable")
-    height_m[part[lowest_first]] = height_m[outline[lowest_first]]
-    origin[part[lowest_first]] = origin[outline[lowest_first]]
+    takes = is_default[part] & ~is_default[outline]
+    takes &= height_m[outline] > buildings.min_height_m[part]
+    height_m[part[takes]] = height_m[outline[takes]]
+    origin[part[takes]] = origin[outline[takes]]
     # Undersides.
     min_height_m = buildings.min_height_m
     is_wrong = min_height_m >= height_m
     is_known = origin == HeightOrigin.HEIGHT
     issues = {
-        ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT: len(np.unique(part)),
+        ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT: len(np.unique(part[takes])),
         ReadIssue.MIN_HEIGHTS_ABOVE_ROOF: int(np.sum(is_wrong & is_known)),
     }
     buildings = replace(

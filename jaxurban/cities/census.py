@@ -452,7 +452,7 @@ def zoning_of(
     twelve = set(PAPER_DISTRICTS).intersection(labels)
     residential = (twelve or set(labels)) - {OTHER_DISTRICT}
     is_commercial = np.isin(district, list(commercial))
-    is_residential = np.isin(district, list(residential)) & ~is_commercial
+    is_residential = np.isin(district, list(residential))
     return np.select(
         [is_commercial, is_residential], [Zoning.COMMERCIAL, Zoning.RESIDENTIAL], Zoning.OTHER
     ).astype(np.uint8)

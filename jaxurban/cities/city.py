@@ -645,9 +645,8 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
     settlements = shapely.get_parts(shapely.union_all(grown))
 
     # The box around all outlines of each settlement.
-    places = shapely.STRtree(shapely.points(corner))
-    settlement, place = places.query(settlements, predicate="contains")
-    by_settlement = pd.DataFrame(bounds).groupby(settlement[np.argsort(place)][bin_of])
+    _, settlement = shapely.STRtree(settlements).query(shapely.points(corner), predicate="within")
+    by_settlement = pd.DataFrame(bounds).groupby(settlement[bin_of])
     hulls = by_settlement.agg({0: "min", 1: "min", 2: "max", 3: "max"})
     return shapely.union_all([declared, *shapely.box(*hulls.to_numpy().T)])
 

@@ -166,41 +166,41 @@ def estimate_heights(
       ``N`` outlines, and how many values could not be used, by kind.
     """
     empty = np.full(len(polygons), None, object)
+    level_m = rules.level_height_m
 
-    def read(
-        name: str, parse: Callable[[str], float], unit_m: float = 1.0
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return where a tag holds something, and its values in metres."""
-        column = tags.get(name, empty)
-        return is_given(column), read_column(column, parse) * unit_m
+    def read(name: str, parse: Callable[[str], float], unit_m: float = 1.0) -> np.ndarray:
+        """Return the values of a tag in metres."""
+        return read_column(tags.get(name, empty), parse) * unit_m
 
-    # Where each tag holds something, and its values.
-    given_height, height_m = read("height", parse_height_m)
-    given_levels, levels_m = read("levels", parse_count, rules.level_height_m)
-    given_roof, roof_m = read("roof_levels", parse_count, rules.level_height_m)
-    given_min, min_height_m = read("min_height", parse_length_m)
-    given_min_level, min_level_m = read("min_level", parse_count, rules.level_height_m)
+    def num_unusable(name: str, is_usable: np.ndarray) -> int:
+        """Return how often a tag holds something that is not usable."""
+        return int(np.sum(is_given(tags.get(name, empty)) & ~is_usable))
+
+    height_m = read("height", parse_height_m)
+    levels_m = read("levels", parse_count, level_m)
+    roof_m = read("roof_levels", parse_count, level_m)
+    min_height_m = read("min_height", parse_length_m)
+    min_level_m = read("min_level", parse_count, level_m)
 
     # What is usable. Comparisons with NaN are false: what could not be read is not.
     has_roof, has_min, has_min_level = (
         (value_m >= 0) & (value_m <= MAX_HEIGHT_M)
         for value_m in (roof_m, min_height_m, min_level_m)
     )
-    least_m = levels_m * LEAST_LEVEL_M / rules.level_height_m
+    least_m = levels_m * LEAST_LEVEL_M / level_m
     levels_m = levels_m + np.where(has_roof, roof_m, 0.0)
     has_height, has_levels = (
         (value_m > 0) & (value_m <= MAX_HEIGHT_M) for value_m in (height_m, levels_m)
     )
     is_too_low = has_height & has_levels & (height_m < np.minimum(least_m, levels_m))
 
-    # What holds something that is not usable.
-    num_levels = np.sum(given_levels & ~has_levels) + np.sum(given_roof & ~has_roof)
-    num_min = np.sum(given_min & ~has_min) + np.sum(given_min_level & ~has_min_level)
+    num_levels = num_unusable("levels", has_levels) + num_unusable("roof_levels", has_roof)
+    num_min = num_unusable("min_height", has_min) + num_unusable("min_level", has_min_level)
     issues = {
-        ReadIssue.HEIGHTS_UNUSABLE: int(np.sum(given_height & ~has_height)),
+        ReadIssue.HEIGHTS_UNUSABLE: num_unusable("height", has_height),
         ReadIssue.HEIGHTS_BELOW_LEVELS: int(np.sum(is_too_low)),
-        ReadIssue.LEVELS_UNUSABLE: int(num_levels),
-        ReadIssue.MIN_HEIGHTS_UNUSABLE: int(num_min),
+        ReadIssue.LEVELS_UNUSABLE: num_levels,
+        ReadIssue.MIN_HEIGHTS_UNUSABLE: num_min,
     }
 
     has_height &= ~is_too_low

@@ -157,13 +157,10 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
     highest = np.fmax(np.fmax(roofs, plants), ground)
     transform = (side, 0.0, left, 0.0, side, low)
     on_grid = partial(Raster, transform=transform, crs=crs.to_2d().to_string())
+    by_class = {f"of class {number}": int(count) for number, count in enumerate(counts)}
     return Points(
-        on_grid(ground),
-        on_grid(surface),
-        on_grid(plants),
-        on_grid(highest),
-        {f"of class {number}": int(count) for number, count in enumerate(counts)}
-        | {ReadIssue.GROUND_FAR_BELOW: int(is_low.sum())},
+        *map(on_grid, (ground, surface, plants, highest)),
+        by_class | {ReadIssue.GROUND_FAR_BELOW: int(is_low.sum())},
     )
 
 

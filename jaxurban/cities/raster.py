@@ -12,7 +12,7 @@ import rasterio
 import shapely
 from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
-from rasterio.windows import Window
+from rasterio.windows import Window, intersect
 
 from jaxurban.cities.companions import check_companions, companions
 from jaxurban.errors import InputError, readable, warn
@@ -303,8 +303,9 @@ def raster_window(
     Raises:
       InputError: the raster does not reach the box.
     """
+    whole = Window(0, 0, source.width, source.height)
     if bounds_m is None:
-        return Window(0, 0, source.width, source.height)
+        return whole
 
     # The pixels at 22 x 22 places, evenly spread over the box and its border: as straight sides bend in another CRS,
     # the corners alone would not do.
@@ -313,13 +314,13 @@ def raster_window(
     x, y = transformer(crs, _horizontal_crs(source)).transform(x_m, y_m)
     col, row = transformed(~source.transform, x, y)
     if np.all(np.isfinite(col) & np.isfinite(row)):
-        first_col, first_row = (
-            max(0, math.floor(place.min()) - _MARGIN_PIXELS) for place in (col, row)
+        spans = (
+            (math.floor(place.min()) - _MARGIN_PIXELS, math.ceil(place.max()) + _MARGIN_PIXELS)
+            for place in (row, col)
         )
-        end_col = min(source.width, math.ceil(col.max()) + _MARGIN_PIXELS)
-        end_row = min(source.height, math.ceil(row.max()) + _MARGIN_PIXELS)
-        if first_col < end_col and first_row < end_row:
-            return Window(first_col, first_row, end_col - first_col, end_row - first_row)
+        window = Window.from_slices(*spans, boundless=True)
+        if intersect(window, whole):
+            return window.intersection(whole)
 
     where = where_it_lies(
         _extent_of(source, WGS84), transformer(crs, WGS84).transform_bounds(*bounds_m)

@@ -111,10 +111,8 @@ def _others_of(
       file, waters, learns: as of `to_structures`.
     """
     verdicts = outlines.tags["verdict"]
-    kinds = np.array([HULL if kind == BUILDING else kind for kind in verdicts], object)
+    kinds = np.where(verdicts == BUILDING, HULL, verdicts)
     names = np.array([kind.name for kind in kinds], object)
-    dimension = shapely.get_dimensions(outlines.polygons)
-    sizes = _sizes(outlines, kinds, waters)
     stated = _stated(outlines, kinds, file)
     has_height = ~np.isin(stated.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE))
     is_measured = (stated.origin == HeightOrigin.HEIGHT) & (kinds != BRIDGE) & (kinds != HULL)
@@ -124,10 +122,21 @@ def _others_of(
     is_estimated = stated.origin == HeightOrigin.ESTIMATED
     guess_m = np.where(has_height, np.nan, of_classes(learned, names, "guess_m"))
     likely_m = of_classes(learned, names, "likely_m")
-    likely_m = np.maximum(likely_m, np.nan_to_num(estimated_to_m(outlines)))
+    likely_m = np.maximum(likely_m, np.nan_to_num(lengths_m(outlines, "estimated_to_m")))
     likely_m[has_height & ~is_estimated] = np.nan
-    known = (stated, has_height, measured_m, guess_m, likely_m)
-    return _Others(outlines, kinds, names, dimension, sizes, *known), learned
+    others = _Others(
+        outlines,
+        kinds,
+        names,
+        shapely.get_dimensions(outlines.polygons),
+        _sizes(outlines, kinds, waters),
+        stated,
+        has_height,
+        measured_m,
+        guess_m,
+        likely_m,
+    )
+    return others, learned
 
 
 def _sizes(outlines: Outlines, kinds: np.ndarray, waters: np.ndarray) -> KindSizes:
@@ -142,13 +151,13 @@ def _sizes(outlines: Outlines, kinds: np.ndarray, waters: np.ndarray) -> KindSiz
 def _stated(outlines: Outlines, kinds: np.ndarray, file: settings.Buildings) -> Footprints:
     """Return structures with the heights that the file says. The blades of a turbine reach above its hub."""
     stated, _ = estimate_heights(outlines.tags, outlines.polygons, np.zeros(len(kinds), bool), file)
-    tip_m = _lengths_m(outlines, "hub") + np.nan_to_num(_lengths_m(outlines, "rotor")) / 2
+    tip_m = lengths_m(outlines, "hub") + np.nan_to_num(lengths_m(outlines, "rotor")) / 2
     has_tip = np.isfinite(tip_m) & (kinds == TURBINE)
     origin = np.where(has_tip, HeightOrigin.HEIGHT, stated.origin)
     return replace(stated, height_m=np.fmax(stated.height_m, tip_m), origin=origin)
 
 
-def _lengths_m(outlines: Outlines, tag: str) -> np.ndarray:
+def lengths_m(outlines: Outlines, tag: str) -> np.ndarray:
     """Return ``[N]`` the lengths that a tag says, NaN where it says none."""
     return read_column(outlines.column(tag), parse_length_m)
 
@@ -198,13 +207,8 @@ def _bound_m(others: _Others) -> np.ndarray:
     is_open |= others.stated.origin == HeightOrigin.UNREADABLE
     row = np.where(tags["label"] == "", others.kinds, tags["label"])
     highest_m = pd.Series(others.measured_m).groupby(row, sort=False).transform("max")
-    known_m = np.fmax(highest_m.to_numpy(), estimated_to_m(others.outlines))
+    known_m = np.fmax(highest_m.to_numpy(), lengths_m(others.outlines, "estimated_to_m"))
     return np.fmax(np.where(is_open, np.inf, of_kind_m), known_m)
-
-
-def estimated_to_m(outlines: Outlines) -> np.ndarray:
-    """Return ``[N]`` how high what has an estimated height may be by its model, NaN where that says nothing."""
-    return read_column(outlines.column("estimated_to_m"), parse_length_m)
 
 
 def limits_by_name_m(outlines: Outlines, others_m: float | np.ndarray) -> np.ndarray:
@@ -249,8 +253,7 @@ def _thin_shape(others: _Others) -> np.ndarray:
     is_cut_off = (others.dimension == 1) & ((others.kinds == WOOD) | is_area_of_bridge)
     is_hulled = is_cut_off | (others.kinds == HULL)
     shapes[is_hulled] = shapely.convex_hull(shapes[is_hulled])
-    is_fence = np.array([kind in (FENCE, *WALLS) for kind in others.kinds], bool)
-    is_fence &= others.dimension == 2
+    is_fence = np.isin(others.kinds, (FENCE, *WALLS)) & (others.dimension == 2)
     shapes[is_fence] = shapely.boundary(shapes[is_fence])
     return shapes
 
@@ -263,8 +266,8 @@ def _radius_m(others: _Others, height_m: np.ndarray) -> np.ndarray:
     wheel_m = np.maximum(RIDE_SHARE * height_m, of_kind_m)
     of_kind_m = np.select([is_tree, is_wheel], [CROWN_SHARE * height_m, wheel_m], of_kind_m)
     outlines = others.outlines
-    others_m = np.fmax(_lengths_m(outlines, "diameter"), _lengths_m(outlines, "rotor"))
-    width_m = np.where(is_tree, _lengths_m(outlines, "crown"), others_m)
+    others_m = np.fmax(lengths_m(outlines, "diameter"), lengths_m(outlines, "rotor"))
+    width_m = np.where(is_tree, lengths_m(outlines, "crown"), others_m)
     width_m[outlines.texts("man_made") == "pipeline"] = np.nan  # theirs are in millimetres
     return np.where(width_m > 0, np.minimum(width_m / 2, MOST_RADIUS_M), of_kind_m)
 
@@ -315,6 +318,5 @@ def _on_roofs(
     origin[is_on & ~structures.is_guessed] = HeightOrigin.ROUGH
     likely_m = np.where(is_on, np.inf, structures.likelies_m)
     on_roofs = replace(structures, limit_m=limit_m, origin=origin, likely_m=likely_m)
-    verdicts = outlines.tags["verdict"]
-    names_it = np.array([each in (HULL, HISTORIC, MONUMENT) for each in verdicts], bool)
+    names_it = np.isin(outlines.tags["verdict"], (HULL, HISTORIC, MONUMENT))
     return on_roofs, is_on & names_it & (structures.kinds == UNKNOWN)

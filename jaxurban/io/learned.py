@@ -128,7 +128,5 @@ def learned_from(
 
 def of_classes(learned: Mapping[str, Learned], classes: np.ndarray, field: str) -> np.ndarray:
     """Return ``[N]`` a field of `Learned` by class, NaN where nothing is learned."""
-    values = np.full(len(classes), np.nan)
-    for name, each in learned.items():
-        values[classes == name] = getattr(each, field)
-    return values
+    known = {name: getattr(each, field) for name, each in learned.items()}
+    return pd.Series(classes).map(known).to_numpy(float)

@@ -1,5 +1,6 @@
 """Outlines of what stands, and where their heights came from."""
 
+from collections import Counter
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Literal
@@ -164,7 +165,5 @@ class Footprints(Rows):
 
     def origin_counts(self) -> dict[str, int]:
         """Return the number of buildings by the origin of their height, only origins that occur."""
-        counts = {
-            origin.name.lower(): int(np.sum(self.origin == origin)) for origin in HeightOrigin
-        }
-        return {name: count for name, count in counts.items() if count}
+        counts = Counter(self.origin.tolist())
+        return {HeightOrigin(origin).name.lower(): counts[origin] for origin in sorted(counts)}
