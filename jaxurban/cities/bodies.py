@@ -128,10 +128,10 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
     # The faces as one MultiPolygon, at once; of a coordinate that is no number the place or the height is lost.
     polygon = shapely.MultiPolygon()
     if faces:
-        rings = [_closed(ring) for face in faces for ring in face.rings]
+        rings = [ring for face in faces for ring in face.rings]
         vertices = np.concatenate(rings)
         vertices = np.where(np.isfinite(vertices), vertices, LOST_M)
-        borders = shapely.linearrings(vertices, indices=_numbered(map(len, rings)))
+        borders = shapely.linearrings(vertices, indices=_numbered(map(len, rings)))  # closed
         numbers = _numbered(len(face.rings) for face in faces)
         polygon = shapely.multipolygons(shapely.polygons(borders, indices=numbers))
 
@@ -157,12 +157,6 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
         body["height"] = np.ptp(vertices[:, 2]) if has_level else LOST_M
     if faces or not (best or kind in GROUPS):
         yield body | tags
-
-
-def _closed(ring: np.ndarray) -> np.ndarray:
-    """Return a ring that ends where it begins, of four vertices at least."""
-    is_closed = len(ring) > 3 and np.array_equal(ring[0], ring[-1])
-    return ring if is_closed else np.vstack([ring, ring[:1]])
 
 
 def _numbered(sizes: Iterable[int]) -> np.ndarray:

@@ -334,7 +334,8 @@ def _beside_parts(
     is_own = is_known[outline] & is_known[part] & ~is_replaced[outline]
     is_replaced = is_replaced.copy()
     for owner in np.unique(outline[is_own | is_bare[outline]]):
-        own = part[(outline == owner) & is_known[part] & is_known[owner]]
+        inner = part[outline == owner]
+        own = inner[is_known[inner] & is_known[owner]]
         top_m = buildings.height_m[own]
         standing_m = top_m[buildings.min_height_m[own] == 0]
         height_m = buildings.height_m[owner]
@@ -343,8 +344,8 @@ def _beside_parts(
         is_towers &= lowest_m < height_m - SAME_HEIGHT_M
         if not (is_towers or is_replaced[owner]):
             continue
-        own_parts = shapely.union_all(buildings.polygons[part[outline == owner]])
-        rest = polygonal(shapely.difference(buildings.polygons[owner], own_parts))
+        covered = shapely.union_all(buildings.polygons[inner])
+        rest = polygonal(shapely.difference(buildings.polygons[owner], covered))
         if rest.is_empty or (is_replaced[owner] and rest.buffer(-STRIP_M / 2).is_empty):
             continue
         is_replaced[owner] = False

@@ -349,16 +349,16 @@ def _counts_in_table(files: Population, block_keys: pd.Series, wanted: str) -> p
     )
 
     # Which column holds the ids, and which the counts.
-    num_joined = {str(column): int(_keys(table[column]).isin(block_keys).sum()) for column in table}
     count = _count_column(table, files.column, name)
-    others = [column for column in num_joined if column != count]
-    id_column = max(others, key=num_joined.__getitem__, default=None)
-    if id_column is None or num_joined[id_column] == 0:
+    others = table.drop(columns=count)
+    num_joined = others.apply(lambda column: _keys(column).isin(block_keys).sum())
+    if not num_joined.any():
         shown = table.iloc[-1].to_dict() if len(table) else list(table.columns)
         raise InputError(
             f"{name} joins no block: no column holds ids such as {block_keys.iloc[0]!r} from {wanted}; "
             f"its last row is {shown}: check [population] block_field and that the table is of the same census"
         )
+    id_column = num_joined.idxmax()
     # Tables of the census may have a second header row, which is of no block and holds no count.
     is_first_a_block = _keys(table[id_column][:1]).isin(block_keys).any()
     if not COUNT.fullmatch(table[count].iloc[0]) and not is_first_a_block:

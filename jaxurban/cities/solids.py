@@ -68,7 +68,7 @@ def prisms_of_solids(features: Outlines) -> pd.DataFrame:
       vertex of the outline lies above the lowest of all, 0 without heights. Prisms of a solid may overlap.
     """
     outlines = features.polygons
-    num_roofs = features.tags.get("num_roofs", np.zeros(len(outlines), int))
+    num_roofs = features.tags.get("num_roofs")
     axis = known_crs(features.crs).axis_info[-1]
     unit_m = 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
     has_z = shapely.has_z(outlines)
@@ -84,9 +84,8 @@ def prisms_of_solids(features: Outlines) -> pd.DataFrame:
         return pd.DataFrame({**plain, "rise_m": rise_m})
     rows: list[tuple] = []
     for feature, outline in enumerate(outlines):
-        prisms = {math.nan: outline}
-        if may_be[feature]:
-            prisms = _prisms(outline, unit_m, num_roofs[feature])
+        roofs = 0 if num_roofs is None else num_roofs[feature]
+        prisms = _prisms(outline, unit_m, roofs) if may_be[feature] else {math.nan: outline}
         rows += [(feature, *prism, rise_m[feature]) for prism in prisms.items()]
     return pd.DataFrame(rows, columns=["feature", "height_m", "polygon", "rise_m"])
 

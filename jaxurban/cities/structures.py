@@ -240,9 +240,9 @@ def _shape(others: _Others, height_m: np.ndarray) -> np.ndarray:
     is_thin = is_ring | (others.kinds == HULL) | (shapely.get_dimensions(lines) != 2)
     radius_m = _radius_m(others, height_m)
     shapes = lines.copy()
-    for is_of, num_sides, share in ((is_tree, 8, OCTAGON), (~is_tree, 32, 1.0)):
-        thin = np.flatnonzero(is_of & is_thin)
-        shapes[thin] = shapely.buffer(lines[thin], share * radius_m[thin], quad_segs=num_sides // 4)
+    for is_of, share, quad_segs in ((is_tree, OCTAGON, 2), (~is_tree, 1.0, 8)):
+        thin = is_of & is_thin
+        shapes[thin] = shapely.buffer(lines[thin], share * radius_m[thin], quad_segs=quad_segs)
     return shapes
 
 
