@@ -14,7 +14,7 @@ import shapely
 from jaxurban.cities.heights import parse_height_m
 from jaxurban.cities.outlines import Outlines
 from jaxurban.errors import InputError
-from jaxurban.io.issues import ReadIssue
+from jaxurban.io.issues import ReadIssue, num_of
 from jaxurban.world.grid import WGS84, area_of, check_on_earth, known_crs, transformer
 
 PIECE = re.compile(r"(Building|Bridge|Tunnel)[A-Z]\w+")  # of another object, whatever it is
@@ -233,7 +233,7 @@ def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -
         ) from error
     table = pd.DataFrame(bodies, dtype=object)
     polygons = table.pop("polygon").to_numpy()
-    num_coarse = int(table.pop("is_coarse").sum())
+    num_coarse = num_of(table.pop("is_coarse"))
     tags = {str(name): table[name].to_numpy() for name in table}
 
     if not _is_x_first(crs, shapely.total_bounds(polygons), codes == crs_names):

@@ -22,7 +22,7 @@ from jaxurban.cities.solids import prisms_of_solids
 from jaxurban.cities.stands import is_water, what_stands
 from jaxurban.cities.structures import lengths_m, limits_by_name_m, to_structures
 from jaxurban.errors import InputError
-from jaxurban.io.issues import ReadIssue, ReadIssues
+from jaxurban.io.issues import ReadIssue, ReadIssues, num_of
 from jaxurban.io.learned import (
     IN_NONE,
     OPEN_SHARE,
@@ -168,10 +168,10 @@ def _buildings(
         buildings = _with_guesses(buildings, found, guess_m)
     buildings, of_parts = _with_outline_heights(buildings, parts)
     is_replaced = parts.share >= REPLACED_SHARE
-    issues |= of_parts | {ReadIssue.OUTLINES_REPLACED_BY_PARTS: int(np.sum(is_replaced))}
+    issues |= of_parts | {ReadIssue.OUTLINES_REPLACED_BY_PARTS: num_of(is_replaced)}
     if file.hanging == SLABS:
         buildings, is_podium = _podiums(buildings, parts, is_replaced)
-        issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
+        issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = num_of(is_podium)
         is_replaced &= ~is_podium
 
     likely_m = of_classes(learned, classes, "likely_m")
@@ -183,7 +183,7 @@ def _buildings(
     )
     buildings, is_replaced = _beside_parts(buildings, parts, is_replaced)
     buildings = _within(buildings.take(~is_replaced), file)
-    issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
+    issues[ReadIssue.PARTS_HANGING] = num_of(buildings.min_height_m > 0)
     return buildings, learned, issues
 
 
@@ -402,9 +402,9 @@ def _project(prisms: pd.DataFrame, source: str, crs: str) -> tuple[pd.DataFrame,
     shapes[is_alone] = shapely.get_geometry(shapes[is_alone], 0)
 
     issues = {
-        ReadIssue.OUTSIDE_CRS: int(np.sum(is_there & ~is_sound)),
-        ReadIssue.POLYGONS_REPAIRED: int(np.sum(~is_flat)),
-        ReadIssue.POLYGONS_DROPPED: int(np.sum(~is_there)),
+        ReadIssue.OUTSIDE_CRS: num_of(is_there & ~is_sound),
+        ReadIssue.POLYGONS_REPAIRED: num_of(~is_flat),
+        ReadIssue.POLYGONS_DROPPED: num_of(~is_there),
     }
     return prisms.assign(polygon=shapes, is_whole=is_whole)[is_sound], issues
 
@@ -493,7 +493,7 @@ def _with_outline_heights(buildings: Footprints, parts: Parts) -> tuple[Footprin
     is_known = origin == HeightOrigin.HEIGHT
     issues = {
         ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT: len(np.unique(part[takes])),
-        ReadIssue.MIN_HEIGHTS_ABOVE_ROOF: int(np.sum(is_wrong & is_known)),
+        ReadIssue.MIN_HEIGHTS_ABOVE_ROOF: num_of(is_wrong & is_known),
     }
     buildings = replace(
         buildings,

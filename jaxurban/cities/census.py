@@ -15,7 +15,7 @@ from jaxurban.cities.plausible import check_people
 from jaxurban.cities.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.cities.vector import POLYGONS, open_frame, without_collections
 from jaxurban.errors import InputError
-from jaxurban.io.issues import ReadIssue, ReadIssues
+from jaxurban.io.issues import ReadIssue, ReadIssues, num_of
 from jaxurban.io.sampling import pixel_xy
 from jaxurban.io.tables import read_table
 from jaxurban.metrics.population import Population
@@ -85,13 +85,13 @@ def read_blocks(
             files.districts, crs, files.district_field
         )
         district = largest_overlap(polygons, areas, labels)
-        issues[ReadIssue.COMMERCIAL_NOT_FOUND] = int((~np.isin(list(commercial), labels)).sum())
+        issues[ReadIssue.COMMERCIAL_NOT_FOUND] = num_of(~np.isin(list(commercial), labels))
     zoning = zoning_of(district, commercial, labels.tolist())
 
     # A count that is missing is 0. Without rasters by day and by night there is one count for both.
     counts = frame.filter(["_count", "_day"])
-    issues[ReadIssue.BLOCKS_WITHOUT_COUNT] = int(counts.isna().any(axis=1).sum())
-    issues[ReadIssue.BLOCKS_WITHOUT_DISTRICT] = int((district == OTHER_DISTRICT).sum())
+    issues[ReadIssue.BLOCKS_WITHOUT_COUNT] = num_of(counts.isna().any(axis=1))
+    issues[ReadIssue.BLOCKS_WITHOUT_DISTRICT] = num_of(district == OTHER_DISTRICT)
     people = counts.fillna(0.0).to_numpy(np.float64).T
     by_day = people[1] if len(people) > 1 else None
     ids = frame["_id"].to_numpy(object)
@@ -141,7 +141,7 @@ def read_people(
         holds no data in the region, or holds negative counts that are not declared empty.
     """
     (raster,) = read_bands(path, crs, bounds_m, holds="people in each pixel", dtype=np.float64)
-    num_bad = int((raster.values < 0).sum())
+    num_bad = num_of(raster.values < 0)
     if num_bad:
         raise InputError(
             f"{str(path)!r} holds {num_bad} pixels of less than 0 people: declare their value as nodata with "
@@ -200,11 +200,11 @@ def _polygons(
         counts = _parse_counts(fields[count], key)
     else:
         counts = _counts_in_table(files, key, f"{field!r} of {path!r}")
-    issues[ReadIssue.COUNTS_WITHOUT_BLOCK] = int((~counts.index.isin(key)).sum())
+    issues[ReadIssue.COUNTS_WITHOUT_BLOCK] = num_of(~counts.index.isin(key))
     frame = frame.assign(_id=block_id, _count=key.map(counts), _has_row=key.isin(counts.index))
 
     frame, num_lost, num_invalid = clean_polygons(frame, crs, bounds_m)
-    num_unreadable = int((frame["_count"].isna() & frame["_has_row"]).sum())
+    num_unreadable = num_of(frame["_count"].isna() & frame["_has_row"])
     if num_unreadable == len(frame) > 0:
         raise InputError(
             f"not one count of people of the blocks {path!r} can be read as a number: check the column of population, "
@@ -261,8 +261,8 @@ def clean_polygons(
     polygons = without_collections(polygons)
     polygons[~np.isin(shapely.get_type_id(polygons), POLYGONS)] = None
     is_kept = shapely.area(polygons) > 0
-    num_lost = int((~is_kept).sum())
-    num_invalid = int(is_invalid.sum())
+    num_lost = num_of(~is_kept)
+    num_invalid = num_of(is_invalid)
     if bounds_m is not None:
         is_kept &= shapely.intersects(polygons, shapely.box(*bounds_m))
     frame = frame.set_geometry(polygons, crs=frame.crs)

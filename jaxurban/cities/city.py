@@ -52,7 +52,7 @@ from jaxurban.cities.tiles import ARCHIVE, READERS, read_tiles
 from jaxurban.cities.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
 from jaxurban.errors import GuessWarning, InputError, warn
 from jaxurban.io.city import City, joined_credits
-from jaxurban.io.issues import ReadIssue, ReadIssues
+from jaxurban.io.issues import ReadIssue, ReadIssues, num_of
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
 from jaxurban.io.sampling import heights_above, pixel_xy
 from jaxurban.io.sniff import LIDAR, sniff
@@ -609,7 +609,7 @@ def _read_roofs(
         check_is_no_surface(name, raster, crs)
         is_below = raster.values < 0
         roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
-        issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
+        issues = {ReadIssue.CELLS_BELOW_GROUND: num_of(is_below)}
     check_range(name, roofs.values, ROOF_RANGE_M)
     area = area_of_raster(roofs, crs)
     guesses += pixel_guesses(roofs, crs)

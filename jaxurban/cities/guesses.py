@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxurban import settings
 from jaxurban.cities.heights import LAYER_CLEARANCE_M
-from jaxurban.io.issues import ReadIssue, ReadIssues, listed_counts
+from jaxurban.io.issues import ReadIssue, ReadIssues, listed_counts, num_of
 from jaxurban.io.learned import CLASSES, PART_CLASSES, Learned
 from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed
 from jaxurban.world.blocks import Blocks
@@ -48,7 +48,7 @@ def height_guesses(
     if file.default_height_m is not None:
         default = f"by the default of {file.default_height_m:g} m"
     numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M, "default": default}
-    counts = {words: int((inside.origin == origin).sum()) for origin, words in GUESSED_BY.items()}
+    counts = {words: num_of(inside.origin == origin) for origin, words in GUESSED_BY.items()}
     num_estimated = counts.pop(GUESSED_BY[HeightOrigin.ESTIMATED])
     kinds = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
     num = max(len(inside), 1)

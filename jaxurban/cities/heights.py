@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban import settings
-from jaxurban.io.issues import ReadIssue, ReadIssues
+from jaxurban.io.issues import ReadIssue, ReadIssues, num_of
 from jaxurban.io.tables import is_blank
 from jaxurban.settings import MAX_HEIGHT_M
 from jaxurban.world.footprints import Footprints, HeightOrigin
@@ -174,7 +174,7 @@ def estimate_heights(
 
     def num_unusable(name: str, is_usable: np.ndarray) -> int:
         """Return how often a tag holds something that is not usable."""
-        return int(np.sum(is_given(tags.get(name, empty)) & ~is_usable))
+        return num_of(is_given(tags.get(name, empty)) & ~is_usable)
 
     height_m = read("height", parse_height_m)
     levels_m = read("levels", parse_count, level_m)
@@ -198,7 +198,7 @@ def estimate_heights(
     num_min = num_unusable("min_height", has_min) + num_unusable("min_level", has_min_level)
     issues = {
         ReadIssue.HEIGHTS_UNUSABLE: num_unusable("height", has_height),
-        ReadIssue.HEIGHTS_BELOW_LEVELS: int(np.sum(is_too_low)),
+        ReadIssue.HEIGHTS_BELOW_LEVELS: num_of(is_too_low),
         ReadIssue.LEVELS_UNUSABLE: num_levels,
         ReadIssue.MIN_HEIGHTS_UNUSABLE: num_min,
     }

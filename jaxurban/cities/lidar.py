@@ -15,7 +15,7 @@ from rasterio.fill import fillnodata
 
 from jaxurban.cities.raster import heights_of_surface, unit_of_heights_m
 from jaxurban.errors import InputError, readable
-from jaxurban.io.issues import ReadIssue, ReadIssues
+from jaxurban.io.issues import ReadIssue, ReadIssues, num_of
 from jaxurban.io.sniff import in_own_words
 from jaxurban.world.grid import check_on_earth, known_crs
 from jaxurban.world.raster import Raster
@@ -160,7 +160,7 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
     by_class = {f"of class {number}": int(count) for number, count in enumerate(counts)}
     return Points(
         *map(on_grid, (ground, surface, plants, highest)),
-        by_class | {ReadIssue.GROUND_FAR_BELOW: int(is_low.sum())},
+        by_class | {ReadIssue.GROUND_FAR_BELOW: num_of(is_low)},
     )
 
 

@@ -16,7 +16,7 @@ from rasterio.windows import Window, intersect
 
 from jaxurban.cities.companions import check_companions, companions
 from jaxurban.errors import InputError, readable, warn
-from jaxurban.io.issues import ReadIssue, ReadIssues
+from jaxurban.io.issues import ReadIssue, ReadIssues, num_of
 from jaxurban.io.sampling import heights_above, pixel_xy, transformed
 from jaxurban.knowledge import Guesses, GuessKind, guessed
 from jaxurban.world.grid import WGS84, Bounds, check_on_earth, known_crs, transformer, where_it_lies
@@ -160,7 +160,7 @@ def read_bands(
 def check_range(name: str, values: np.ndarray, range_m: tuple[float, float]) -> None:
     """Raise InputError if a raster holds values below the first or above the second limit, in metres; NaN passes."""
     low_m, high_m = range_m
-    num_bad = int(np.sum((values < low_m) | (values > high_m)))
+    num_bad = num_of((values < low_m) | (values > high_m))
     if num_bad:
         raise InputError(
             f"{name} holds {num_bad} cells outside {low_m:g} to {high_m:g} m: declare their value as nodata with "
@@ -354,8 +354,8 @@ def heights_of_surface(
             f'[buildings] kind = "surface" takes the ground from below {name}: give its elevation as [terrain] source'
         )
     above = heights_above(surface, terrain)
-    num_sunken = int(np.sum(above.values < -GROUND_M))
-    num_known = int(np.isfinite(above.values).sum())
+    num_sunken = num_of(above.values < -GROUND_M)
+    num_known = num_of(np.isfinite(above.values))
     raised = _raised_share(above, crs)
     if num_sunken > num_known / 2 or raised > MOST_RAISED:
         raise InputError(
@@ -369,8 +369,8 @@ def heights_of_surface(
     )
     is_ground = above.values < GROUND_M
     issues = {
-        ReadIssue.CELLS_BELOW_GROUND: int(np.sum(above.values < 0)),
-        ReadIssue.CELLS_NEAR_GROUND: int(np.sum(is_ground)),
+        ReadIssue.CELLS_BELOW_GROUND: num_of(above.values < 0),
+        ReadIssue.CELLS_NEAR_GROUND: num_of(is_ground),
     }
     return replace(above, values=np.where(is_ground, np.float32(0), above.values)), issues
 

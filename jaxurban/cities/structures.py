@@ -31,7 +31,7 @@ from jaxurban.cities.kinds import (
 )
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.wires import in_spans, with_supports
-from jaxurban.io.issues import ReadIssue, ReadIssues
+from jaxurban.io.issues import ReadIssue, ReadIssues, num_of
 from jaxurban.io.learned import CLASSES_M2, Learned, learned_from, of_classes
 from jaxurban.world.footprints import BUILDING, UNKNOWN, Footprints, HeightOrigin
 from jaxurban.world.kinds import PLANTS, WIRES
@@ -94,9 +94,9 @@ def to_structures(
     structures = structures.take(~is_left_out & ~is_same).joined(guys)
     is_unknown = structures.kinds == UNKNOWN
     issues = {
-        ReadIssue.NOT_STANDING: int(np.sum(is_left_out)),
-        ReadIssue.UNKNOWN_EXTENT: int(np.sum(is_unknown)),
-        ReadIssue.UNKNOWN_HEIGHT: int(np.sum(structures.is_guessed & ~is_unknown)),
+        ReadIssue.NOT_STANDING: num_of(is_left_out),
+        ReadIssue.UNKNOWN_EXTENT: num_of(is_unknown),
+        ReadIssue.UNKNOWN_HEIGHT: num_of(structures.is_guessed & ~is_unknown),
     }
     return structures, learned, issues
 

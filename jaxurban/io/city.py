@@ -14,7 +14,7 @@ import shapely
 from jaxurban import settings, wings
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.io.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts
+from jaxurban.io.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts, num_of
 from jaxurban.io.learned import Learned
 from jaxurban.io.sampling import raster_values
 from jaxurban.knowledge import Caution, Guesses, caution_of_guesses
@@ -183,7 +183,7 @@ class City(FactsRepr):
         buildings = "a height raster"
         main = None
         if self.buildings is not None:
-            num_inside = int(self.buildings.touches(region_m).sum())
+            num_inside = num_of(self.buildings.touches(region_m))
             num_around = len(self.buildings) - num_inside
             buildings = f"{num_inside:,}"
             if num_around:

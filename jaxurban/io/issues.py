@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
+from typing import Any
 
 
 class ReadIssue(StrEnum):
@@ -94,6 +95,11 @@ LEFT_OUT = (  # why nothing stands where a file names something
     ReadIssue.NOT_STANDING,
     ReadIssue.POLYGONS_DROPPED,
 )
+
+
+def num_of(is_one: Any) -> int:
+    """Return how many of an array or a column of bool are true."""
+    return int(is_one.sum())
 
 
 def listed_counts(counts: Mapping[str, int]) -> str:
