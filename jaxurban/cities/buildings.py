@@ -10,13 +10,7 @@ import shapely
 
 from jaxurban import settings
 from jaxurban.cities.heights import estimate_heights, with_decks
-from jaxurban.cities.kinds import (
-    ABOVE_LEVELS_M,
-    LEVEL_LIMIT_M,
-    LIMIT_M,
-    LOW_BUILDINGS,
-    ROUGH_LIMIT,
-)
+from jaxurban.cities.kinds import ABOVE_LEVELS_M, LEVEL_LIMIT_M, LIMIT_M, LOW_BUILDINGS, ROUGH_LIMIT
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.solids import prisms_of_solids
 from jaxurban.cities.stands import is_water, what_stands
@@ -222,11 +216,7 @@ def _classes(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray) 
 
 
 def _learned(
-    buildings: Footprints,
-    found: Outlines,
-    parts: Parts,
-    classes: np.ndarray,
-    learns: bool,
+    buildings: Footprints, found: Outlines, parts: Parts, classes: np.ndarray, learns: bool
 ) -> tuple[dict[str, Learned], np.ndarray]:
     """Return what a file says of unknown heights, and the highest that it knows of the class of each, ``[N]``.
 

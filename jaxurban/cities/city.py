@@ -21,11 +21,7 @@ from jaxurban.checks import one_of
 from jaxurban.cities.buildings import to_buildings
 from jaxurban.cities.census import read_blocks
 from jaxurban.cities.columns import named_columns
-from jaxurban.cities.guesses import (
-    census_guesses,
-    height_guesses,
-    structure_guesses,
-)
+from jaxurban.cities.guesses import census_guesses, height_guesses, structure_guesses
 from jaxurban.cities.lidar import Points, heights_of_points, read_points
 from jaxurban.cities.osm import OSM_SUFFIXES, header_box, read_osm
 from jaxurban.cities.outlines import Near, Outlines
@@ -93,10 +89,8 @@ COLUMNS_SAID = "height_column, ground_column and levels_column are for tables of
 GEOD = pyproj.Geod(ellps="WGS84")
 GAP_M = 500.0  # side of the bins: buildings in bins that touch know what lies between them (streets, parks, rivers)
 BLOCKS_A_SIDE = 64  # into which a raster with holes is cut
-ROOF_RANGE_M = (
-    -100.0,
-    HIGHEST_M,
-)  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
+# Surface minus terrain dips below 0 by noise, at cuttings by tens of metres.
+ROOF_RANGE_M = -100.0, HIGHEST_M
 SMALL_BYTES = 16 * 2**20  # of a file of outlines
 GUESSED_OF = {  # what is said of what readers met
     ReadIssue.POLYGONS_DROPPED: GuessKind.WITHOUT_SHAPE,
@@ -401,7 +395,7 @@ def read_buildings(
         "crs is for outlines and lidar points": file.crs is not None
         and (read is _read_osm or (read is None and sniff(path) != LIDAR)),
         "heights is for outlines": file.heights is not None and read is None,
-        COLUMNS_SAID: len(named_columns(file)) > 0 and read in (None, _read_osm),
+        COLUMNS_SAID: bool(named_columns(file)) and read in (None, _read_osm),
     }
     for what, is_wrong in is_misplaced.items():
         if is_wrong:

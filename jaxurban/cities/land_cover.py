@@ -171,6 +171,6 @@ def sea(coast: np.ndarray, box: shapely.Polygon) -> shapely.Geometry:
     if (np.minimum(wet_m, dry_m) > MIXED * np.maximum(wet_m, dry_m)).any():
         warn(
             "the coast lines have a gap: what lies beside it is taken for what most of its shore says, land or sea; "
-            "fetch an extract with complete ways, or name another file in [study] land_cover",
+            "fetch an extract with complete ways, or name another file in [study] land_cover"
         )
     return shapely.union_all(faces[wet_m > dry_m])

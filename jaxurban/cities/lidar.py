@@ -40,10 +40,8 @@ LAYER_OF[[0, 1, 12]] = UNCLASSIFIED
 LAYER_OF[[3, 4, 5]] = PLANTS
 LAYER_OF[[2, 8, 9, 10, 11, 20, 21, *range(40, 46)]] = GROUND
 LAYER_OF[[NOISE_CLASS, 18]] = NOISE
-LAYERED, POINT_LAYERS = (
-    6,
-    9,
-)  # the first format of points that are packed by layers, and of how many before colours
+# The first format of points that are packed by layers, and of how many before colours.
+LAYERED, POINT_LAYERS = 6, 9
 TABLE_BYTES = 8  # before the first chunk: where the table of chunks is
 # Keys of GeoTIFF for heights, their unit and their CRS, and what EPSG's codes of both mean.
 UNIT_KEY, CRS_KEY = 4099, 4096

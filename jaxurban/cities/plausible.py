@@ -8,13 +8,7 @@ import shapely
 from rasterio.fill import fillnodata
 
 from jaxurban.cities.kinds import WOOD
-from jaxurban.cities.raster import (
-    GROUND_M,
-    open_raster,
-    pixel_m,
-    raster_window,
-    read_raster,
-)
+from jaxurban.cities.raster import GROUND_M, open_raster, pixel_m, raster_window, read_raster
 from jaxurban.errors import InputError
 from jaxurban.io.burn import UNKNOWN_GROUND_M, burn_heights
 from jaxurban.io.sampling import raster_values, resample_raster
@@ -41,9 +35,8 @@ LEAST_CELLS = 2000  # 20 hectares: on less, slopes of bare ground pass for a ris
 TALLEST_PLANT_M = 117.0  # the tallest tree stands at 116 m; birds and cables are above
 TALL_PLANT_M = 60.0  # few forests are higher: redwoods, firs and eucalypts of old growth
 FEW_PLANTS = 0.01  # of the pixels with plants
-LEAST_BARE = (
-    0.1  # of the pixels around a city; Gothenburg 0.93, the same as elevations 0.06 and 0.07
-)
+# Of the pixels around a city; Gothenburg 0.93, the same as elevations 0.06 and 0.07.
+LEAST_BARE = 0.1
 WIDEST_PIXEL_M = 30.0  # wider ones hold more than one building and streets
 MOST_MEDIAN_M = 60.0  # of a raster's roofs
 LEAST_BUILDINGS = 20  # that say whether heights are elevations

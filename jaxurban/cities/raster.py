@@ -365,7 +365,7 @@ def heights_of_surface(
         )
     warn(
         f"heights are {name} less the terrain: trees, bridges and cranes in it count as buildings (of classified lidar "
-        f"points what is neither ground nor plants), and what is lower than {GROUND_M:g} m as ground",
+        f"points what is neither ground nor plants), and what is lower than {GROUND_M:g} m as ground"
     )
     is_ground = above.values < GROUND_M
     issues = {

@@ -36,11 +36,11 @@ PACKAGED = {
     "parts of no building": (35.5, 427.0),
     "tree": (7.0, 20.0),
 }
+CLASSES = np.array([*PACKAGED][:4], object)
 # And where few buildings stand: where they cover less than `OPEN_SHARE` of the ground around (`built_shares`).
-OPEN_GUESSES_M = dict(zip([*PACKAGED][:4], (4.2, 6.4, 6.8, 18.9), strict=True))
+OPEN_GUESSES_M = dict(zip(CLASSES, (4.2, 6.4, 6.8, 18.9), strict=True))
 OPEN_SHARE = 0.2
 CELL_M = 80.0  # whose 5 x 5 around a building are as large as a disc of 225 m
-CLASSES = np.array([*PACKAGED][:4], object)
 PART_CLASSES = np.array([*PACKAGED][4:9], object)
 
 

@@ -24,9 +24,7 @@ class HeightOrigin(IntEnum):
     UNKNOWN = 6  # not even by rule: what stands there is not known, and the height is 0
     BESIDE_PARTS = 7  # of an outline beside its parts: that of its lowest one
     ROUGH = 8  # a rough figure, such as "about 30" or "30-40"
-    UNREADABLE = (
-        9  # the default or by levels, where one is given that cannot be read or is too high
-    )
+    UNREADABLE = 9  # the default or by levels, where what is given cannot be read or is too high
     ESTIMATED = 10  # a tag or column that a model made, as the file or its user says
 
 
@@ -147,7 +145,7 @@ class Footprints(Rows):
             "kind": self.named,
             "rule": self.rules,
             "height_m": np.where(self.kinds == UNKNOWN, np.nan, self.height_m),
-            "known_by": [KNOWN_BY[origin] for origin in self.origin.tolist()],
+            "known_by": [KNOWN_BY[origin] for origin in self.origin],
             "likely_m": self.likely_upper_m,
             "highest_m": self.upper_m,
             "min_height_m": self.min_height_m,
