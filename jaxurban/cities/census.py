@@ -108,8 +108,8 @@ def _by_night_and_day(night: gpd.GeoDataFrame, day: gpd.GeoDataFrame) -> gpd.Geo
     Raises:
       InputError: pixels of the same row and column do not lie at the same place, to a millimetre.
     """
+    day = day.rename(columns={"_count": "_day"})
     both = night.merge(day, on="_id", how="outer", suffixes=("", "_day"))
-    both = both.rename(columns={"_count_day": "_day"})
     pairs = both.dropna(subset=["geometry", "geometry_day"])
     if not pairs["geometry"].geom_equals_exact(pairs["geometry_day"], tolerance=1e-3).all():
         raise InputError(

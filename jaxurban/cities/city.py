@@ -458,8 +458,7 @@ def lonlat_extent(path: str | Path, crs: str | None = None) -> Bounds:
     Raises:
       InputError: a file that cannot be read, or one without an outline.
     """
-    extent, _ = _extent(path, crs, None)
-    return extent
+    return _extent(path, crs, None)[0]
 
 
 def _extent(

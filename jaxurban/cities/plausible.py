@@ -189,8 +189,7 @@ def check_are_heights(
         height_m = np.where(is_lost, np.inf, stands.height_m)[is_stated]
         if len(height_m) < LEAST_STATED * len(is_stated):
             return
-        has_ground = is_stated & (terrain is not None)
-        x_m, y_m = shapely.get_coordinates(shapely.centroid(stands.polygons[has_ground])).T
+        x_m, y_m = shapely.get_coordinates(shapely.centroid(stands.polygons[is_stated])).T
     else:
         assert stands is not None
         grid = covering_grid(extent_m, HOUSE_M, crs)
@@ -217,14 +216,12 @@ def check_are_heights(
 
 def pixel_guesses(roofs: Raster, crs: str) -> Guesses:
     """Return the guesses that a raster holds single roofs, and that it is in metres, where these are doubtful."""
-    guesses: Guesses = ()
     side_m = pixel_m(roofs, crs).max()
-    if side_m > WIDEST_PIXEL_M:
-        guesses += guessed(GuessKind.WIDE_PIXELS, side_m=side_m)
     median_m = np.median(np.append(roofs.values[roofs.values > GROUND_M], 0.0))
-    if median_m > MOST_MEDIAN_M:
-        guesses += guessed(GuessKind.UNIT_OF_HEIGHTS, height_m=median_m)
-    return guesses
+    is_wide = float(side_m > WIDEST_PIXEL_M)
+    is_high = float(median_m > MOST_MEDIAN_M)
+    wide = guessed(GuessKind.WIDE_PIXELS, is_wide, side_m=side_m)
+    return wide + guessed(GuessKind.UNIT_OF_HEIGHTS, is_high, height_m=median_m)
 
 
 def terrain_guesses(

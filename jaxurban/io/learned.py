@@ -79,14 +79,14 @@ def classes_of(area_m2: np.ndarray) -> np.ndarray:
 def built_shares(polygons: np.ndarray) -> np.ndarray:
     """Return ``[N]`` the share of the ground around each building that buildings cover: of 5 x 5 cells, by centres."""
     centre_m = shapely.get_coordinates(shapely.centroid(polygons))
-    cells = pd.DataFrame(np.floor(centre_m / CELL_M), columns=["x", "y"])
-    built_m2 = pd.Series(shapely.area(polygons)).groupby([cells["x"], cells["y"]]).sum()
+    cell = pd.MultiIndex.from_arrays(np.floor(centre_m / CELL_M).T)
+    built_m2 = pd.Series(shapely.area(polygons), cell).groupby(level=[0, 1]).sum()
     around_m2 = pd.Series(0.0, built_m2.index)
-    column, row = (built_m2.index.get_level_values(name) for name in ("x", "y"))
+    column, row = (built_m2.index.get_level_values(level) for level in (0, 1))
     for x, y in product(range(-2, 3), repeat=2):
         beside = pd.MultiIndex.from_arrays([column + x, row + y])
         around_m2 += built_m2.reindex(beside, fill_value=0.0).to_numpy()
-    return around_m2.reindex(pd.MultiIndex.from_frame(cells)).to_numpy() / (5 * CELL_M) ** 2
+    return around_m2.reindex(cell).to_numpy() / (5 * CELL_M) ** 2
 
 
 def likely_of(known_m: np.ndarray) -> float:
