@@ -406,9 +406,13 @@ def _own_parts(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray
       polygons: ``[N]`` valid polygons.
       is_outline, is_part: ``[N]`` bool, which of them are outlines, and which are parts.
     """
-    outlines = np.where(is_outline, polygons, None)
-    parts = np.where(is_part, polygons, None)
-    outline, part = shapely.STRtree(parts).query(outlines, predicate="intersects")
+    outlines = np.flatnonzero(is_outline)
+    parts = np.flatnonzero(is_part)
+    near_outline, near_part = shapely.STRtree(polygons[parts]).query(
+        polygons[outlines], predicate="intersects"
+    )
+    outline = outlines[near_outline]
+    part = parts[near_part]
     shared = shapely.intersection(polygons[outline], polygons[part])
     is_own = shapely.area(shared) >= BELONGING_SHARE * shapely.area(polygons[part])
     outline, part, shared = outline[is_own], part[is_own], shared[is_own]

@@ -111,7 +111,7 @@ def _others_of(
       file, waters, learns: as of `to_structures`.
     """
     verdicts = outlines.tags["verdict"]
-    kinds = np.where(verdicts == BUILDING, HULL, verdicts)
+    kinds = np.array([HULL if kind == BUILDING else kind for kind in verdicts], object)
     names = np.array([kind.name for kind in kinds], object)
     stated = _stated(outlines, kinds, file)
     has_height = ~np.isin(stated.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE))
@@ -253,7 +253,8 @@ def _thin_shape(others: _Others) -> np.ndarray:
     is_cut_off = (others.dimension == 1) & ((others.kinds == WOOD) | is_area_of_bridge)
     is_hulled = is_cut_off | (others.kinds == HULL)
     shapes[is_hulled] = shapely.convex_hull(shapes[is_hulled])
-    is_fence = np.isin(others.kinds, (FENCE, *WALLS)) & (others.dimension == 2)
+    is_fence = np.array([kind in (FENCE, *WALLS) for kind in others.kinds], bool)
+    is_fence &= others.dimension == 2
     shapes[is_fence] = shapely.boundary(shapes[is_fence])
     return shapes
 
@@ -318,5 +319,6 @@ def _on_roofs(
     origin[is_on & ~structures.is_guessed] = HeightOrigin.ROUGH
     likely_m = np.where(is_on, np.inf, structures.likelies_m)
     on_roofs = replace(structures, limit_m=limit_m, origin=origin, likely_m=likely_m)
-    names_it = np.isin(outlines.tags["verdict"], (HULL, HISTORIC, MONUMENT))
+    verdicts = outlines.tags["verdict"]
+    names_it = np.array([each in (HULL, HISTORIC, MONUMENT) for each in verdicts], bool)
     return on_roofs, is_on & names_it & (structures.kinds == UNKNOWN)

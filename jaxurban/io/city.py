@@ -284,8 +284,8 @@ class City(FactsRepr):
         near = things[things["distance_m"] <= max(NEAR_M, nearest_m)]
         near = near.sort_values("height_m", ascending=False, ignore_index=True)
         if self.terrain is not None:
-            xy_m = shapely.get_coordinates(place).T
-            (near["ground_m"],) = raster_values(self.terrain, *xy_m, self.crs, "bilinear")
+            x_m, y_m = shapely.get_coordinates(place).T
+            near["ground_m"] = raster_values(self.terrain, x_m, y_m, self.crs, "bilinear")[0]
         stands = "this stands" if is_here else "nothing stands"
         return near.rename_axis(columns=f"{stands} at {lon:.6f}, {lat:.6f}")
 
@@ -301,7 +301,8 @@ class City(FactsRepr):
         """
         if raster is None:
             return None
-        height_m = raster_values(raster, *shapely.get_coordinates(place).T, self.crs, "nearest")
+        x_m, y_m = shapely.get_coordinates(place).T
+        height_m = raster_values(raster, x_m, y_m, self.crs, "nearest")
         zero = np.zeros(1)
         origin = zero + HeightOrigin.RASTER
         pixel = Footprints(np.array([place]), height_m, zero, origin, zero, np.array([kind]))
