@@ -157,7 +157,10 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
     on_grid = partial(Raster, transform=transform, crs=crs.to_2d().to_string())
     by_class = {f"of class {number}": int(count) for number, count in enumerate(counts)}
     return Points(
-        *map(on_grid, (ground, surface, plants, highest)),
+        on_grid(ground),
+        on_grid(surface),
+        on_grid(plants),
+        on_grid(highest),
         by_class | {ReadIssue.GROUND_FAR_BELOW: num_of(is_low)},
     )
 
