@@ -19,11 +19,9 @@ from jaxurban.cities.outlines import Outlines
 
 LAYER_LIMIT_M, ABOVE_LAYERS_M = 12.0, 10.0
 HIGH_M, HANGING_M = 100.0, 350.0
-HIGH = (  # words of kinds and structures
-    *("aqueduct", "arch", "bascule", "cantilever", "draw", "extradosed", "lift", "movable"),
-    *("swing", "trestle", "truss", "viaduct"),
-)
-HANGING = ("suspension", "cable")
+# Words of kinds and structures.
+HIGH = "aqueduct|arch|bascule|cantilever|draw|extradosed|lift|movable|swing|trestle|truss|viaduct"
+HANGING = "suspension|cable"
 LONG_M = 300.0  # the longest girders of beams span as far
 JOINED_M = 1.0  # ways so near each other are one bridge
 DECK = "bridge"  # of the tag man_made
@@ -50,16 +48,13 @@ def bridges_of(outlines: Outlines, waters: np.ndarray) -> KindSizes:
       waters: shapes of what bridges may cross; without any, every bridge may cross some.
     """
     layer = np.fmax(read_column(outlines.column("layer"), parse_count), 1.0)
-    kind = outlines.texts("bridge")
-    structure = outlines.texts("bridge_structure")
-    movable = outlines.texts("bridge_movable")
-    words = [f"{each} {of_it}" for each, of_it in zip(kind, structure, strict=True)]
-    is_high, is_hanging = (
-        np.array([any(word in text for word in named) for text in words], bool)
-        for named in (HIGH, HANGING)
-    )
-    is_high |= (outlines.texts("man_made") == DECK) | ~np.isin(movable, ("", "no"))
+    texts = outlines.texts("bridge") + " " + outlines.texts("bridge_structure")
+    words = pd.Series(texts, dtype=str).str
+    is_high = words.contains(HIGH)
+    is_high |= ~np.isin(outlines.texts("bridge_movable"), ("", "no"))
+    is_high |= outlines.says("man_made", [DECK])
     is_high |= outlines.says("railway", ["monorail"]) | outlines.says("viaduct", ["yes"])
+    is_hanging = words.contains(HANGING)
     is_hanging |= _is_long(outlines.polygons) & _crosses(outlines.polygons, waters)
 
     lanes = read_column(outlines.column("lanes"), parse_count)
@@ -99,7 +94,7 @@ def _is_long(shapes: np.ndarray) -> np.ndarray:
 
 def _crosses(shapes: np.ndarray, waters: np.ndarray) -> np.ndarray:
     """Return ``[N]`` whether a bridge crosses water, or may."""
-    if not len(waters):
-        return np.ones(len(shapes), bool)
+    crosses = np.full(len(shapes), not len(waters))
     bridge, _ = shapely.STRtree(waters).query(shapes, predicate="intersects")
-    return np.isin(np.arange(len(shapes)), bridge)
+    crosses[bridge] = True
+    return crosses

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Collection, Mapping
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,18 @@ import pyproj
 from jaxurban import settings
 from jaxurban.cities.estimates import FIGURES, METHODS, SOURCES, with_estimates
 from jaxurban.cities.heights import FOOT_M, is_given, parse_length_m, read_column
-from jaxurban.cities.kinds import NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING
-from jaxurban.cities.rules import BY_VALUE, IN_WORDS, KINDS
+from jaxurban.cities.kinds import NOT_BUILT, OF_LIFE
+from jaxurban.cities.rules import BY_VALUE, IN_WORDS, KINDS, LIVES
 from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue
 from jaxurban.settings import MAX_HEIGHT_M, Unit
 
 Columns = Mapping[str, np.ndarray]
+# Tags of rough figures. A light ends above its focal plane, whose height is that over high water.
+ROUGH = (
+    *("est_height", "seamark:light:height", "seamark:light:1:height"),
+    "seamark:landmark:height",
+)
 CUT_LETTERS = 10  # of a column's name in a Shapefile
 
 # Tags and columns by what they hold: in any case, with ":", "." and "_" the same; names of ten letters are cut, as
@@ -57,16 +63,13 @@ OF_OTHERS = (
     *IN_WORDS,
     *(key for key in BY_VALUE if key not in COLUMNS),
 )
-for key in ("building", *OF_OTHERS, *KINDS):  # also of what is not in use, or not yet
+for key in ("building", *OF_OTHERS, *KINDS):
     name = key.replace(":", "_")
-    lives = STANDING if key in OF_LIFE else NOT_IN_USE if key in KINDS else ()
-    names = name, name[:CUT_LETTERS], *(f"{life}_{name}" for life in lives)
+    names = name, name[:CUT_LETTERS], *(f"{life}_{name}" for life in LIVES.get(key, ()))
     COLUMNS[key] = " ".join(dict.fromkeys(names))
 for key in OF_LIFE:
     for life, reason in NOT_BUILT.items():
         COLUMNS[reason] = f"{COLUMNS.get(reason, '')} {life}_{key}"
-# Rough figures. A light ends above its focal plane, whose height is that over high water.
-ROUGH = {"est_height", *(f"seamark_{each}_height" for each in ("light", "light_1", "landmark"))}
 UNDERGROUND_COLUMN = "is_underground"  # of Overture Maps: true or false
 BELOW = dict.fromkeys(("true", "1"), ReadIssue.UNDERGROUND.value)  # as OpenStreetMap writes it
 NESTED = ("tags", "other_tags", "all_tags")  # of query-overpass and GDAL: all tags in one text
@@ -160,7 +163,7 @@ def tags_of(columns: Mapping[Any, np.ndarray], file_name: str = "") -> dict[str,
         if UNDERGROUND_COLUMN not in values and ids.notna().all() and ids.is_unique:
             values.pop(name, None)
 
-    for name in ROUGH.intersection(values):
+    for name in values.keys() & map(_plain, ROUGH):
         estimate = values[name]
         rough = np.array([f"~{value}" for value in estimate], object)
         rough[~is_given(estimate)] = None
@@ -168,10 +171,9 @@ def tags_of(columns: Mapping[Any, np.ndarray], file_name: str = "") -> dict[str,
 
     tags: dict[str, np.ndarray] = {}
     for tag, names in COLUMNS.items():
-        for name in names.split():
-            if name in values:
-                own = values[name]
-                tags[tag] = _filled(tags[tag], own) if tag in tags else own
+        of_tag = [values[name] for name in names.split() if name in values]
+        if of_tag:
+            tags[tag] = reduce(_filled, of_tag)
     if "max_height" in values:
         tags.pop("min_height", None)  # it is that of the lowest roof
     return with_estimates(tags, values, file_name)

@@ -96,23 +96,24 @@ NONE_HERE = {  # reported where a file holds nothing for the region or the day
 }
 # All that the reader knows: by keys, of some by values, and ways of water and of raised traffic. Of barriers, of which
 # there are many, the commonest that are nothing are left there.
-AREAS: list[str] = []  # keys of which areas may stand by many values
-ASKED = [f'"{key}"' for key in MAYBE if key != "barrier"]
-ASKED += ['"barrier"]["barrier"!~"^(fence|hedge|kerb|bollard|gate)$"']
-for key, by_value in BY_VALUE.items():
-    kinds = [value for value, name in by_value.items() if not isinstance(RULES[name], Nothing)]
-    lone = [value for value in kinds if OF_AREAS in by_value[value]]
-    kinds = [value for value in kinds if value not in lone]
-    ASKED += [f'"{key}"~"^({"|".join(kinds)})$"'] if kinds else []
-    AREAS += [key] if lone else []
-WAYS = [f'"{key}"~"^({"|".join(values)})$"' for key, values in WATERS.items()]
-WAYS += ['"highway"]["layer"~"^[1-9]"', '"railway"]["layer"~"^[1-9]"']
+SOME = [("way", key, values) for key, values in WATERS.items()]
+AREAS = []  # keys of which areas may stand by many values
+for key, rules in BY_VALUE.items():
+    of_areas = {value for value, name in rules.items() if OF_AREAS in name}
+    nothing = {value for value, name in rules.items() if isinstance(RULES[name], Nothing)}
+    SOME.append(("nwr", key, [value for value in rules if value not in of_areas | nothing]))
+    AREAS += [key] if of_areas else []
+ASKED = (
+    *(f'nwr["{key}"];' for key in MAYBE if key != "barrier"),
+    'nwr["barrier"]["barrier"!~"^(fence|hedge|kerb|bollard|gate)$"];',
+    *(f'{what}["{key}"~"^({"|".join(values)})$"];' for what, key, values in SOME if values),
+    'way["highway"]["layer"~"^[1-9]"];way["railway"]["layer"~"^[1-9]"];',
+    *(f'way["{key}"];relation["{key}"];' for key in AREAS),
+    'relation["type"="building"];',
+)
 OVERPASS = (
     "[out:xml][timeout:180][bbox:{south},{west},{north},{east}];("
-    + "".join(f"nwr[{each}];" for each in ASKED)
-    + "".join(f"way[{each}];" for each in WAYS)
-    + "".join(f'way["{key}"];relation["{key}"];' for key in AREAS)
-    + 'relation["type"="building"];);(._;>;);out body;'
+    f"{''.join(ASKED)});(._;>;);out body;"
 )
 Settings = dict[str, Any]
 
@@ -185,7 +186,7 @@ class FetchJob:
         margin_m = self.margin_m if name == "osm" else BLOCK_MARGIN_M
 
         # Fill in the template: the sides in degrees, and the query of the Overpass API.
-        x_min, y_min, x_max, y_max = box_m = self.box_m(margin_m)
+        box_m = self.box_m(margin_m)
         box = transformer(self.crs, WGS84).transform_bounds(*box_m, densify_pts=21)
         sides = zip(("west", "south", "east", "north"), box, strict=True)
         degrees = {side: f"{value:.6f}" for side, value in sides}
@@ -201,7 +202,7 @@ class FetchJob:
             ) from error
 
         # A template without places is of a whole extract, which no server cuts out.
-        area_km2 = (x_max - x_min) * (y_max - y_min) / 1e6
+        area_km2 = shapely.box(*box_m).area / 1e6
         if name == "osm" and "{" in template and area_km2 > MOST_OVERPASS_KM2:
             raise InputError(
                 f"the region with its margin of {margin_m:g} m has {area_km2:,.0f} km2, and the Overpass API, a shared "

@@ -37,6 +37,11 @@ class Kind:
     source: str = "chosen"
 
 
+def unknown(limit_m: float = math.inf, radius_m: float = 1.0, source: str = "chosen") -> Kind:
+    """Return a kind of what is of unknown kind; arguments are attributes of `Kind`."""
+    return Kind(UNKNOWN, 0.0, limit_m, radius_m, source)
+
+
 @dataclass(frozen=True)
 class Nothing:
     """Why nothing stands, and as what it is counted; of most a height makes it stand all the same."""
@@ -47,14 +52,14 @@ class Nothing:
 
 LOW_M = 6.0  # fences, doors, statues: what no table names stands from this height on
 FENCE = Kind("structure", 0.0)  # which encloses what it does not fill
-HULL = Kind(UNKNOWN, 0.0, radius_m=2.0)  # an outline that is not whole
-UNLISTED = Kind(UNKNOWN, 0.0, 50.0)
-WALL = Kind(UNKNOWN, 0.0, 10.0, source="chosen; noise barriers seldom exceed 6 m")
-CITY_WALL = Kind(UNKNOWN, 0.0, 30.0, 2.0)
+HULL = unknown(radius_m=2.0)  # an outline that is not whole
+UNLISTED = unknown(50.0)
+WALL = unknown(10.0, source="chosen; noise barriers seldom exceed 6 m")
+CITY_WALL = unknown(30.0, 2.0)
 WALLS = WALL, CITY_WALL
-HISTORIC = Kind(UNKNOWN, 0.0, 50.0)
-MONUMENT = Kind(UNKNOWN, 0.0, 60.0, 5.0, "chosen; few statues are higher")
-RIDE = Kind(UNKNOWN, 0.0, 200.0, 30.0, "chosen; one wheel, Ain Dubai (250 m), is higher")
+HISTORIC = unknown(50.0)
+MONUMENT = unknown(60.0, 5.0, "chosen; few statues are higher")
+RIDE = unknown(200.0, 30.0, "chosen; one wheel, Ain Dubai (250 m), is higher")
 TURBINE = Kind("turbine", 100.0, radius_m=50.0)
 BRIDGE = Kind("bridge", 5.5, 100.0, source="chosen; see below")  # for each layer
 CANOPIES = (

@@ -14,11 +14,11 @@ import shapely
 from osmium.filter import EmptyTagFilter, EntityFilter, KeyFilter
 from osmium.geom import use_nodes
 
-from jaxurban.cities.columns import tags_of
-from jaxurban.cities.kinds import NOT_BUILT, NOT_IN_USE, OF_LIFE, STANDING, WATERS, Nothing
+from jaxurban.cities.columns import ROUGH, tags_of
+from jaxurban.cities.kinds import NOT_BUILT, OF_LIFE, WATERS, Nothing
 from jaxurban.cities.osm_plain import plain_osm
 from jaxurban.cities.outlines import Outlines
-from jaxurban.cities.rules import ALONE, BY_VALUE, KINDS, OF_AREAS, THINGS
+from jaxurban.cities.rules import ALONE, BY_VALUE, KINDS, LIVES, OF_AREAS, THINGS
 from jaxurban.errors import readable
 from jaxurban.io.issues import ReadIssue, ReadIssues
 from jaxurban.io.sniff import in_own_words, sniff, unpacked
@@ -26,14 +26,9 @@ from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import WGS84, Bounds
 
 BUILDINGS = ("building", "building:part")  # keys
-HEIGHTS = (
-    *("height", "est_height", "building:height", "seamark:light:height", "seamark:light:1:height"),
-    "seamark:landmark:height",
-)
 MAYBE = (  # keys of what may stand
-    *(*BUILDINGS, "building:levels", *HEIGHTS, *KINDS),
-    *(f"{life}:{key}" for life in STANDING for key in OF_LIFE),
-    *(f"{life}:{key}" for life in NOT_IN_USE for key in KINDS if key not in OF_LIFE),
+    *(*BUILDINGS, "building:levels", "height", "building:height", *ROUGH, *KINDS),
+    *(f"{life}:{key}" for key, lives in LIVES.items() for life in lives),
     *(f"{life}:building" for life in NOT_BUILT),
 )
 SURE = {*MAYBE} - {"barrier"}  # whatever their value is
@@ -78,7 +73,7 @@ OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
 # Keys of a filter, which passes some that `_may_stand` leaves out. It takes as long as it has keys to ask for, so the
 # commonest come first. Lamps and gantries are asked for apart, as streets have their key, and so are the stands of
 # hunters, as many other points have theirs; other keys are left out, as they come with keys that are there.
-ASKED_APART = {"highway", "artwork_type", *HEIGHTS[3:]}
+ASKED_APART = {"highway", "artwork_type", *ROUGH[1:]}
 KEYS = [
     key for key in dict.fromkeys((*BUILDINGS, *SOME, "layer", *MAYBE)) if key not in ASKED_APART
 ]
@@ -176,14 +171,10 @@ class _Objects:
 
     def node(self, lamp: Any) -> None:
         """Keep what may be a lamp, or a stand of hunters, for which pyosmium calls this."""
-        tags = lamp.tags
-        if not (
-            _is_some("highway", tags.get("highway", ""))
-            or _is_some("amenity", tags.get("amenity", ""), True)
-        ):
-            return
-        self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
-        self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
+        get = lamp.tags.get
+        if _is_some("highway", get("highway", "")) or _is_some("amenity", get("amenity", ""), True):
+            self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
+            self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
 
     def way(self, way: Any) -> None:
         """Keep the line of a way that is asked for, and gantries, for which pyosmium calls this too."""
@@ -213,16 +204,17 @@ class _Objects:
             members = [(each.type, each.ref) for each in outer or of_it]
             self.of_members |= dict.fromkeys(members, tags)
             return False
+        key = "r", item.id
         may_stand = _may_stand(tags)
         # A bare one may be the outline in a relation of a building.
         if may_stand or len(item.tags) == 1:
             all_of_it = _all_of(item.members)
-            self.ways_of["r", item.id] = [each.ref for each in all_of_it if each.type == "w"]
+            self.ways_of[key] = [each.ref for each in all_of_it if each.type == "w"]
         if of_type in ("site", "bridge"):
-            self.areas.add(("r", item.id))
+            self.areas.add(key)
             points = self._places(each.ref for each in _all_of(item.members) if each.type == "n")
-            if may_stand and points and not self.ways_of["r", item.id]:
-                self.shapes["r", item.id] = shapely.MultiPoint(points).wkb_hex
+            if may_stand and points and not self.ways_of[key]:
+                self.shapes[key] = shapely.MultiPoint(points).wkb_hex
         return may_stand
 
     def _places(self, nodes: Iterable[int]) -> list[tuple[float, float]]:

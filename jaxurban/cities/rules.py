@@ -19,6 +19,7 @@ Values are those of https://wiki.openstreetmap.org/wiki/Map_features. "*" is any
 it is unknown with a bound, never nothing. Of a list of values (``a;b``) the strongest counts, of equals the first.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping
 from functools import reduce
 from itertools import product
@@ -37,13 +38,17 @@ from jaxurban.cities.kinds import (
     LOW_LIMIT_M,
     LOW_M,
     MONUMENT,
+    NOT_IN_USE,
+    OF_LIFE,
     RIDE,
+    STANDING,
     TURBINE,
     UNLISTED,
     WALL,
     WOOD,
     Kind,
     Nothing,
+    unknown,
 )
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.signs import NO, ZERO, Signs, are_lone
@@ -58,7 +63,7 @@ FIXED = Nothing("is part of what stands, or fixed to it")
 NO_THING = Nothing("names a place or a kind of building, and no thing")
 BURIED = Nothing("lies below the ground", ReadIssue.UNDERGROUND)
 SITE = Kind("structure", 0.0)  # the ground of a plant, or what only a height makes stand
-LAMP = Kind(UNKNOWN, 0.0, 15.0, source="chosen; above all lamps in the extracts (10 m)")
+LAMP = unknown(15.0, source="chosen; above all lamps in the extracts (10 m)")
 CHIMNEY = Kind("chimney", 30.0, radius_m=3.0)
 TOWER = Kind("tower", 30.0, radius_m=5.0)
 MAST = Kind("mast", 20.0)
@@ -73,9 +78,9 @@ POWER_LINE = Kind("wire", 30.0, 100.0, 15.0, IN_SPANS)
 PHONE_LINE = Kind("wire", 10.0, 30.0, source=IN_SPANS)
 CABLEWAY = Kind("cableway", 30.0, radius_m=5.0)
 GANTRY = Kind("canopy", 6.0, 20.0)
-SHED = Kind(UNKNOWN, 0.0, LOW_LIMIT_M, source="as of houses and sheds")
-SLENDER = Kind(UNKNOWN, 0.0, 30.0, 2.0)
-LARGE = Kind(UNKNOWN, 0.0, 150.0, 5.0, "chosen; Wembley's arch ends at 133 m, Jeddah Light as well")
+SHED = unknown(LOW_LIMIT_M, source="as of houses and sheds")
+SLENDER = unknown(30.0, 2.0)
+LARGE = unknown(150.0, 5.0, "chosen; Wembley's arch ends at 133 m, Jeddah Light as well")
 Gives = Kind | Nothing | Literal["building"]
 OF_AREAS = " of lone areas: "  # of names of rules
 # Columns that name kinds by our own words; some words say as well what sort a building is, and are none of these.
@@ -138,8 +143,8 @@ THINGS: dict[str, Gives] = {
     "planned": Nothing("does not stand yet", ReadIssue.PLANNED),
     "traffic above the ground": FIXED,
     "height of 6 m or more": SITE,
-    "height beyond 1,000 m, or that cannot be read": Kind(UNKNOWN, 0.0),
-    "generator of unknown source and height": Kind(UNKNOWN, 0.0, radius_m=50.0),  # of wind, perhaps
+    "height beyond 1,000 m, or that cannot be read": unknown(),
+    "generator of unknown source and height": unknown(radius_m=50.0),  # of wind, perhaps
     "barrier of 6 m or more": FENCE,
     "way of traffic above the ground": BRIDGE,
     "wind turbine": TURBINE,
@@ -147,7 +152,7 @@ THINGS: dict[str, Gives] = {
     "natural: tree tree_row": TREE,
     "natural: wood": WOOD,
     "natural: scrub shrub rock stone": LOW,
-    "natural: cliff": Kind(UNKNOWN, 0.0, 50.0),
+    "natural: cliff": unknown(50.0),
     "landuse: forest": WOOD,
     "highway: street_lamp": LAMP,
     "highway: gantry toll_gantry": GANTRY,
@@ -160,7 +165,7 @@ THINGS: dict[str, Gives] = {
     "railway: coaling_facility": UNLISTED,
     "railway of lone things: ventilation_shaft crossing_box": SHED,
     "viaduct: yes": BRIDGE,
-    "waterway: dam": Kind(UNKNOWN, 0.0, 350.0, 5.0, "chosen; Jinping-I is 305 m high"),
+    "waterway: dam": unknown(350.0, 5.0, "chosen; Jinping-I is 305 m high"),
     "waterway: lock_gate sluice_gate": SLENDER,
     "waterway: boat_lift": LARGE,
     "aeroway: windsock": POLE,
@@ -171,7 +176,7 @@ THINGS: dict[str, Gives] = {
     "seamark:type: light_major light_vessel light_float": LARGE,
     "seamark:type: light light_minor pile beacon_lateral beacon_cardinal beacon_isolated_danger beacon_safe_water "
     "beacon_special_purpose buoy_installation": SLENDER,
-    "seamark:type: landmark": Kind(UNKNOWN, 0.0),  # a chimney, a mast or a tower as well
+    "seamark:type: landmark": unknown(),  # a chimney, a mast or a tower as well
     "seamark:type: platform": TOWER,
     "seamark:type: pylon": PYLON,
     "seamark:type: crane": CRANE,
@@ -225,8 +230,8 @@ THINGS: dict[str, Gives] = {
     "public_transport of lone areas: station": HULL,
     "railway of lone areas: station halt": HULL,
     "emergency of lone areas: ambulance_station mountain_rescue": HULL,
-    "location: overhead": Kind(UNKNOWN, 0.0, 30.0, 2.0),
-    "location: overground": Kind(UNKNOWN, 0.0, 50.0),
+    "location: overhead": unknown(30.0, 2.0),
+    "location: overground": unknown(50.0),
     "location of points: overhead overground": LAMP,
     **{f"{key}: {kind.name}": kind for key, kind in product(OWN_KEYS, OURS)},
     # Keys of which any value names what may stand.
@@ -274,7 +279,7 @@ THINGS: dict[str, Gives] = {
     "aerialway: magic_carpet": GROUND,
     "aerialway: *": UNLISTED,
     "bridge: *": BRIDGE,
-    "bridge:support: *": Kind(UNKNOWN, 0.0, 350.0, 5.0, "chosen; Millau has one of 343 m"),
+    "bridge:support: *": unknown(350.0, 5.0, "chosen; Millau has one of 343 m"),
     "attraction: animal artwork bumper_car bumper_cars garden kiddie_ride maze petting_zoo playground train": LOW,
     "attraction: *": RIDE,
     "roller_coaster: *": RIDE,
@@ -315,7 +320,7 @@ LABELS = {
 
 
 def _strength(name: str) -> int:
-    """Return how much a rule counts beside others that hold by values."""
+    """Return how much a rule counts beside others."""
     if name in ALONE:
         return ALONE_ITSELF
     gives = THINGS[name]
@@ -341,6 +346,8 @@ for name in RULES:
         VALUES.setdefault(key, {})[value] = name
         OF_KEYS.setdefault(key.partition(" of ")[0], {})[value] = name
 KINDS = {key: rules for key, rules in VALUES.items() if "*" in rules}
+# What comes before keys of what is not in use, or not yet, and stands.
+LIVES = {key: STANDING if key in OF_LIFE else NOT_IN_USE for key in ("building", *KINDS)}
 IN_WORDS = {key: VALUES[key] for key in OWN_KEYS}
 BY_VALUE = {key: rules for key, rules in OF_KEYS.items() if key not in KINDS | IN_WORDS}
 
@@ -357,15 +364,13 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray]:
     """
     held = [RANKS[name] * signs[name] for name in signs.keys() & (ALONE | THINGS)]
     words = {tag: pd.factorize(outlines.texts(tag)) for tag in OF_KEYS.keys() & outlines.tags}
-    of_shapes: dict[str, list[np.ndarray]] = {"": []}
+    of_shapes: defaultdict[str, list[np.ndarray]] = defaultdict(list)
     for key, rules in VALUES.items():
         tag, _, shape = key.partition(" of ")
         if tag in words:
-            ranks = _by_value(*words[tag], signs, rules, "building" in outlines.tags)
-            of_shapes.setdefault(shape, []).append(ranks)
+            of_shapes[shape].append(_by_value(*words[tag], signs, rules))
     for shape, of_keys in of_shapes.items():
-        ranks = reduce(np.maximum, of_keys, np.zeros(len(outlines.polygons), np.int16))
-        ranks *= signs.get(shape, True)
+        ranks = reduce(np.maximum, of_keys) * signs.get(shape, True)
         if shape.startswith("lone"):
             ranks *= are_lone(outlines, signs["building"], ranks > 0)
         held.append(ranks)
@@ -376,11 +381,7 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _by_value(
-    numbers: np.ndarray,
-    different: np.ndarray,
-    signs: Signs,
-    rules: Mapping[str, str],
-    has_numbers: bool,
+    numbers: np.ndarray, different: np.ndarray, signs: Signs, rules: Mapping[str, str]
 ) -> np.ndarray:
     """Return ``[N]`` which rule decides by the values of a tag, as an index of `RULES`, 0 where none does.
 
@@ -389,9 +390,8 @@ def _by_value(
       different: the values.
       signs: as of `decide`.
       rules: by value.
-      has_numbers: as of `_strongest`.
     """
-    deciding = [RANKS[_strongest(text, rules, has_numbers)] for text in different]
+    deciding = [RANKS[_strongest(text, rules, signs["names"])] for text in different]
     ranks = np.array(deciding, np.int16)[numbers]
     is_no_sign = signs["low"] | (signs["pond"] & (different == "yes")[numbers])
     ranks[is_no_sign & IS_UNSURE[ranks]] = 0
@@ -416,11 +416,12 @@ def _strongest(text: str, rules: Mapping[str, str], has_numbers: bool) -> str:
 def labels_of(outlines: Outlines, ranks: np.ndarray) -> np.ndarray:
     """Return ``[N]`` what the file calls what is unknown by the rules that decide, ``""`` of all else."""
     labels = np.full(len(ranks), "", object)
-    is_unknown = np.array([getattr(gives, "name", "") == UNKNOWN for gives in GIVES])
-    for index in np.flatnonzero(is_unknown[ranks]):
-        name = NAMES[ranks[index]]
-        tag = name.partition(": ")[0].partition(" of ")[0]
-        labels[index] = LABELS.get(name, "")
-        if tag in outlines.tags:
-            labels[index] = f"{tag}={outlines.texts(tag)[index]}"
+    for rank in np.unique(ranks):
+        if getattr(GIVES[rank], "name", "") == UNKNOWN:
+            name = NAMES[rank]
+            tag = name.partition(": ")[0].partition(" of ")[0]
+            is_it = ranks == rank
+            labels[is_it] = LABELS.get(name, "")
+            if tag in outlines.tags:
+                labels[is_it] = f"{tag}=" + outlines.texts(tag)[is_it]
     return labels

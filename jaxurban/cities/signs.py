@@ -35,47 +35,41 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     dimension = shapely.get_dimensions(outlines.polygons)
     is_way = dimension > 0
     is_area = ~np.isin(dimension, (0, 1))  # what has no shape may have been one
-    is_named = is_area  # as a building or as none; in a file that never says it every area is one
     has_names = "building" in outlines.tags
-    if has_names:
-        is_named = outlines.texts("building") != ""
+    # As a building or as none; in a file that never says it every area is one.
+    is_named = outlines.texts("building") != "" if has_names else is_area
     height_m, is_worded = _heights_beside(outlines, ~is_named)
     is_low = (height_m < LOW_M) | _has(outlines, "indoor")
     is_traffic = is_raised(outlines)
-    signs = {
+    is_form = outlines.says("natural", LANDFORMS.split()) & ~is_named
+    is_form |= outlines.says("waterway", FALLS)
+    is_razed = _is_gone(outlines, ReadIssue.RAZED)
+    is_planned = _is_gone(outlines, ReadIssue.PLANNED)
+    is_own = ~(is_form | is_razed | is_planned | is_traffic)
+    is_high = is_own & (height_m >= LOW_M)
+    is_beyond = is_own & (height_m > MAX_HEIGHT_M)
+    has_levels = read_column(outlines.column("levels"), parse_count) > 0
+    is_buried = outlines.says("parking", [ReadIssue.UNDERGROUND])
+    is_unknown = np.isnan(height_m) & ~(is_worded | is_named) & (outlines.texts("wind") == "")
+    is_of_wind = outlines.says("wind", WIND)
+    return {
+        **_building_signs(outlines, is_area, has_names, has_decks),
+        "names": has_names,
         "points": ~is_way,
         "areas": is_area,
         "lone things": has_names,
         "lone areas": is_area & has_names,
         "low": is_low,
         "pond": is_area & outlines.says("natural", ["water"]),
-        "form of the land, or a waterfall": (
-            outlines.says("natural", LANDFORMS.split()) & ~is_named
-            | outlines.says("waterway", FALLS)
-        ),
-        "razed": _is_gone(outlines, ReadIssue.RAZED),
-        "planned": _is_gone(outlines, ReadIssue.PLANNED),
+        "form of the land, or a waterfall": is_form,
+        "razed": is_razed,
+        "planned": is_planned,
         "traffic above the ground": is_traffic,
         "way of traffic above the ground": is_traffic & is_way & ~is_low,
-        "wind turbine": (
-            outlines.says("wind", WIND) | _has(outlines, "rotor") | _has(outlines, "hub")
-        ),
+        "wind turbine": is_of_wind | _has(outlines, "rotor") | _has(outlines, "hub"),
         "generator of unknown source and height": (
-            outlines.says("power", ["generator"])
-            & (outlines.texts("wind") == "")
-            & ~(is_worded | is_named)
-            & np.isnan(height_m)
+            is_unknown & outlines.says("power", ["generator"])
         ),
-    }
-    of_other = ("form of the land, or a waterfall", "razed", "planned", "traffic above the ground")
-    is_own = ~np.logical_or.reduce([signs[name] for name in of_other])
-    has_levels = read_column(outlines.column("levels"), parse_count) > 0
-    is_buried = outlines.says("parking", [ReadIssue.UNDERGROUND])
-    is_high = is_own & (height_m >= LOW_M)
-    is_beyond = is_own & (height_m > MAX_HEIGHT_M)
-    return {
-        **signs,
-        **_building_signs(outlines, is_area, has_decks),
         "levels of a building": has_levels & has_names & is_own & ~(is_named | is_buried),
         "artwork of unknown type": (
             outlines.says("tourism", ["artwork"]) & (outlines.texts("artwork_type") == "")
@@ -88,10 +82,11 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     }
 
 
-def _building_signs(outlines: Outlines, is_area: np.ndarray, has_decks: bool) -> Signs:
+def _building_signs(
+    outlines: Outlines, is_area: np.ndarray, has_names: bool, has_decks: bool
+) -> Signs:
     """Return which features are buildings by their tags, as of `signs_of`."""
     is_part = _has(outlines, "part")
-    has_names = "building" in outlines.tags
     is_building = _has(outlines, "building") | (is_part & has_names)
     is_building &= ~outlines.says("building", NOT_BUILT)
     is_bridge = outlines.says("man_made", [DECK])

@@ -13,7 +13,7 @@ from jaxurban.cities.rules import GIVES, NAMES, RANKS, decide, labels_of
 from jaxurban.cities.signs import signs_of
 from jaxurban.io.issues import LEFT_OUT, ReadIssue, ReadIssues
 
-LEVEL = re.compile(r"(?<!\d)-?\d+")  # also of a range: -1-3
+LEVELS_BELOW = re.compile(r"(?:\D*(?<!\d)-\d+)+\D*")  # not -1-3, a range
 
 
 def what_stands(outlines: Outlines, has_decks: bool) -> tuple[Outlines, ReadIssues]:
@@ -76,8 +76,6 @@ def _is_on_levels_below(outlines: Outlines) -> np.ndarray:
     """Return ``[N]`` whether all levels on which buildings and parts lie are below the ground."""
     level = outlines.texts("level")
     is_building = (outlines.texts("building") != "") | (outlines.texts("part") != "")
-    is_on_them = np.zeros(len(level), bool)
-    for index in np.flatnonzero((level != "") & is_building):
-        numbers = LEVEL.findall(level[index])
-        is_on_them[index] = bool(numbers) and all(number[0] == "-" for number in numbers)
-    return is_on_them
+    is_below = (level != "") & is_building
+    is_below[is_below] = [LEVELS_BELOW.fullmatch(text) is not None for text in level[is_below]]
+    return is_below
