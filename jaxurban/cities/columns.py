@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Collection, Mapping
 from functools import reduce
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pyproj
 from jaxurban import settings
 from jaxurban.cities.estimates import FIGURES, METHODS, SOURCES, with_estimates
 from jaxurban.cities.heights import FOOT_M, is_given, parse_length_m, read_column
-from jaxurban.cities.kinds import NOT_BUILT, OF_LIFE
+from jaxurban.cities.kinds import GONE, OF_LIFE
 from jaxurban.cities.rules import BY_VALUE, IN_WORDS, KINDS, LIVES
 from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue
@@ -67,9 +68,8 @@ for key in ("building", *OF_OTHERS, *KINDS):
     name = key.replace(":", "_")
     names = name, name[:CUT_LETTERS], *(f"{life}_{name}" for life in LIVES.get(key, ()))
     COLUMNS[key] = " ".join(dict.fromkeys(names))
-for key in OF_LIFE:
-    for life, reason in NOT_BUILT.items():
-        COLUMNS[reason] = f"{COLUMNS.get(reason, '')} {life}_{key}"
+for reason, lives in GONE.items():
+    COLUMNS[reason] = " ".join(f"{life}_{key}" for key, life in product(OF_LIFE, lives))
 UNDERGROUND_COLUMN = "is_underground"  # of Overture Maps: true or false
 BELOW = dict.fromkeys(("true", "1"), ReadIssue.UNDERGROUND.value)  # as OpenStreetMap writes it
 NESTED = ("tags", "other_tags", "all_tags")  # of query-overpass and GDAL: all tags in one text
@@ -164,9 +164,8 @@ def tags_of(columns: Mapping[Any, np.ndarray], file_name: str = "") -> dict[str,
             values.pop(name, None)
 
     for name in values.keys() & map(_plain, ROUGH):
-        estimate = values[name]
-        rough = np.array([f"~{value}" for value in estimate], object)
-        rough[~is_given(estimate)] = None
+        rough = np.array([f"~{value}" for value in values[name]], object)
+        rough[~is_given(values[name])] = None
         values[name] = rough
 
     tags: dict[str, np.ndarray] = {}
@@ -202,8 +201,8 @@ def tags_of_table(
             f"{str(file.source)!r} has no column {', '.join(missing)}: its columns are {', '.join(columns) or 'none'}"
         )
     values = _opened({_plain(name): column for name, column in columns.items()})
-    schema = next((names for names in SCHEMAS if set(names.split()) <= values.keys()), None)
-    if schema is not None:  # whose figures of confidence are those of a survey
+    schema = next((names for names in SCHEMAS if set(names.split()) <= values.keys()), "")
+    if schema:  # whose figures of confidence are those of a survey
         values = {name: column for name, column in values.items() if name not in FIGURES}
     tags = tags_of(values, Path(file.source).name)
     if file.levels_column is not None:
@@ -213,7 +212,7 @@ def tags_of_table(
     roof = _plain(file.height_column or "")
     ground = _plain(file.ground_column or "")
     unit = file.unit
-    if not roof and schema is not None:
+    if not roof and schema:
         roof = schema.split()[0]
         ground = GROUNDS.get(roof, "")
         unit = SCHEMAS[schema]

@@ -28,7 +28,7 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.metrics.population import Population
 from jaxurban.progress import LOG
 from jaxurban.settings import NOMINAL
-from jaxurban.world.grid import WGS84, Bounds, check_bounds, transformer, utm_of
+from jaxurban.world.grid import WGS84, Bounds, box_of, check_bounds, transformer, utm_of
 
 DAY_S = 24 * 3600.0
 # A dense city of this size is some 200 MB of XML and a minute of a shared server's time.
@@ -96,7 +96,7 @@ NONE_HERE = {  # reported where a file holds nothing for the region or the day
 }
 # All that the reader knows: by keys, of some by values, and ways of water and of raised traffic. Of barriers, of which
 # there are many, the commonest that are nothing are left there.
-SOME = [("way", key, values) for key, values in WATERS.items()]
+SOME = [("way", key, [*values]) for key, values in WATERS.items()]
 AREAS = []  # keys of which areas may stand by many values
 for key, rules in BY_VALUE.items():
     of_areas = {value for value, name in rules.items() if OF_AREAS in name}
@@ -158,11 +158,8 @@ class FetchJob:
 
     def box_m(self, margin_m: float) -> Bounds:
         """Return x_min, y_min, x_max, y_max of the region's box in `crs`, grown by a margin on each side."""
-        to_m = transformer(WGS84, self.crs)
-        x_min, y_min, x_max, y_max = to_m.transform_bounds(
-            *check_bounds(self.bounds), densify_pts=21
-        )
-        return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
+        box = shapely.box(*box_of(check_bounds(self.bounds), self.crs))
+        return box.buffer(margin_m, join_style="mitre").bounds
 
     def requests(self) -> list[Source]:
         """Return the sources to ask, each with its URL for the region.

@@ -85,10 +85,11 @@ ROUGH_LIMIT = 1.5  # times a rough figure
 NOT_IN_USE = ("abandoned", "disused")
 STANDING = (*NOT_IN_USE, "ruins", "construction")
 OF_LIFE = ("building", "man_made", "power", "aerialway")  # the keys that have all of it
-NOT_BUILT: dict[str, ReadIssue] = {  # and why nothing stands
-    **dict.fromkeys(("demolished", "razed", "removed", "destroyed", "was"), ReadIssue.RAZED),
-    **dict.fromkeys(("proposed", "planned"), ReadIssue.PLANNED),
+GONE = {  # by why nothing stands
+    ReadIssue.RAZED: ("demolished", "razed", "removed", "destroyed", "was"),
+    ReadIssue.PLANNED: ("proposed", "planned"),
 }
+NOT_BUILT = GONE[ReadIssue.RAZED] + GONE[ReadIssue.PLANNED]
 GARAGES = ("parking", "garage", "garages")  # buildings that `parking=underground` buries
 FALLS = ("waterfall", "rapids")
 LANDFORMS = (  # of nature: heights of the ground or of water, and none of what stands there

@@ -35,35 +35,27 @@ SURE = {*MAYBE} - {"barrier"}  # whatever their value is
 LOW_BARRIERS = {
     value for value, name in KINDS["barrier"].items() if isinstance(THINGS[name], Nothing)
 }
-SOME = {  # values of keys of which others do not stand; what is water says which bridges cross it
-    key: {*BY_VALUE.get(key, ()), *WATERS.get(key, ())} for key in (*BY_VALUE, *WATERS)
-}
-METHODS = ("source:height", "height:source")  # which say how a height is known
+# Values of keys of which others do not stand; what is water says which bridges cross it.
+SOME = {key: {*rules, *WATERS.get(key, ())} for key, rules in BY_VALUE.items()}
 # Of points and lines the names of grounds, places and low things are left out: there are many.
-AREAS_ALONE = {
-    (key, value)
-    for key, rules in BY_VALUE.items()
-    for value, name in rules.items()
-    if name in ALONE or OF_AREAS in name
-}
-THIN = {
-    key: {value for value in values if (key, value) not in AREAS_ALONE}
-    for key, values in SOME.items()
-}
+THIN: dict[str, set[str]] = {}
+for key, rules in BY_VALUE.items():
+    of_areas = {value for value, name in rules.items() if name in ALONE or OF_AREAS in name}
+    THIN[key] = SOME[key] - of_areas
+METHODS = ("source:height", "height:source")  # which say how a height is known
+OF_ALL = ("height", "est_height", "location", "level", "layer", *METHODS)
 OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
-    *(*BUILDINGS, "height", "building:levels", "levels", "roof:levels", "min_height"),
-    *("building:min_level", "building:levels:underground", "location", "layer", "level"),
-    *("parking", "man_made", "building:height", "est_height", "tower:type", "bridge:support"),
-    *("aerialway", "attraction", "roller_coaster", *METHODS),
+    *(*BUILDINGS, *OF_ALL, "building:height", "building:levels", "levels", "roof:levels"),
+    *("building:levels:underground", "min_height", "building:min_level", "parking"),
+    *("man_made", "tower:type", "bridge:support", "aerialway", "attraction", "roller_coaster"),
 )
-OF_LAMPS = ("highway", "amenity", "height", "location", "level", "indoor", "layer")
-OF_TREES = ("natural", "height", "est_height", "diameter_crown", "location", "level", *METHODS)
+OF_LAMPS = ("highway", "amenity", "indoor", *OF_ALL)
+OF_TREES = ("natural", "diameter_crown", *OF_ALL)
 TAGS = {
-    *(*OF_BUILDINGS, *OF_TREES, *MAYBE, *SOME, "lanes", "indoor", "diameter", "width", "tunnel"),
-    "parking:levels",
-    *("bridge:structure", "bridge:movable", "tower:construction"),
+    *(*OF_BUILDINGS, *OF_LAMPS, *OF_TREES, *MAYBE, *SOME, "parking:levels", "lanes", "tunnel"),
+    *("bridge:structure", "bridge:movable", "tower:construction", "diameter", "width"),
     *("rotor:diameter", "height:hub", "power_source"),
-    *(f"generator:{name}" for name in ("source", "method", "type")),
+    *("generator:source", "generator:method", "generator:type"),
     *(f"{life}:{key}" for life in NOT_BUILT for key in OF_LIFE),
 }
 TO_WKB = osmium.geom.WKBFactory()
@@ -80,8 +72,7 @@ KEYS = [
 MAY_STAND = KeyFilter(*KEYS)
 MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type")
 MAY_STAND_OR_TYPE.enable_for(osmium.osm.RELATION)
-NOT_THIN = {key for key, values in THIN.items() if not values} | {"amenity"}
-POINTS = KeyFilter(*(key for key in KEYS if key not in NOT_THIN))
+POINTS = KeyFilter(*(key for key in KEYS if key != "amenity" and THIN.get(key, True)))
 POINTS.enable_for(osmium.osm.NODE)
 LAMPS = KeyFilter("highway", "amenity")  # of nodes
 NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
@@ -296,7 +287,7 @@ class _Objects:
         return {
             ReadIssue.OPEN_WAYS: len(self.open_ways & buildings),
             ReadIssue.WAYS_WITH_MISSING_NODES: len(self.missing & buildings),
-            ReadIssue.DEGENERATE_WAYS: len(self.degenerate & buildings),
+            ReadIssue.DEGENERATE_WAYS: len(self.degenerate),
             ReadIssue.RELATIONS_INCOMPLETE: sum(kind == "r" for kind, _ in buildings),
             ReadIssue.POLYGONS_REPAIRED: self.num_repaired,
         }
@@ -354,14 +345,9 @@ def is_osm(path: str | Path) -> bool:
     return is_named or (Path(path).is_file() and sniff(path) in OSM_SUFFIXES)
 
 
-def format_of(path: str | Path) -> str:
-    """Return pyosmium's name of the format of a file that it can read, by the content."""
-    return "pbf" if sniff(path) == ".pbf" else "osm"
-
-
 def _file(path: str | Path) -> osmium.io.File:
     """Return a file for pyosmium, whose format its content says."""
-    return osmium.io.File(str(path), format_of(path))
+    return osmium.io.File(str(path), "pbf" if sniff(path) == ".pbf" else "osm")
 
 
 def open_osm(path: str | Path, *handlers: Any) -> osmium.FileProcessor:
@@ -374,7 +360,7 @@ def open_osm(path: str | Path, *handlers: Any) -> osmium.FileProcessor:
       handlers: filters and what they hand nodes to, before the processor begins.
     """
     file = _file(path)
-    is_sorted = format_of(path) == "pbf"
+    is_sorted = sniff(path) == ".pbf"
     # Any: the package's own annotation says str.
     locations: Any = osmium.index.create_map("flex_mem" if is_sorted else "sparse_mem_map")
     if not is_sorted:

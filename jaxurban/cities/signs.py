@@ -11,7 +11,7 @@ import shapely
 
 from jaxurban.cities.bridges import DECK, is_raised
 from jaxurban.cities.heights import is_given, parse_count, parse_height_m, read_column
-from jaxurban.cities.kinds import FALLS, LANDFORMS, LOW_M, NOT_BUILT, WIND
+from jaxurban.cities.kinds import FALLS, GONE, LANDFORMS, LOW_M, NOT_BUILT, WIND
 from jaxurban.cities.outlines import Outlines
 from jaxurban.io.issues import ReadIssue
 from jaxurban.settings import MAX_HEIGHT_M
@@ -127,9 +127,8 @@ def _has(outlines: Outlines, name: str) -> np.ndarray:
 
 
 def _is_gone(outlines: Outlines, reason: ReadIssue) -> np.ndarray:
-    """Return ``[N]`` what does not stand for a reason of `NOT_BUILT`."""
-    values = [value for value, why in NOT_BUILT.items() if why is reason]
-    return _has(outlines, reason) | outlines.says("building", values)
+    """Return ``[N]`` what does not stand for a reason of `GONE`."""
+    return _has(outlines, reason) | outlines.says("building", GONE[reason])
 
 
 def _heights_beside(outlines: Outlines, is_asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,10 +21,10 @@ from jaxurban.cities.bridges import is_raised
 from jaxurban.cities.columns import is_of_buildings, named_columns, tags_of, tags_of_table
 from jaxurban.cities.companions import REFERS, check_companions
 from jaxurban.cities.heights import is_given
-from jaxurban.cities.kinds import WATERS
 from jaxurban.cities.outlines import Near, Outlines
 from jaxurban.cities.rules import BY_VALUE, IN_WORDS, KINDS
 from jaxurban.cities.solids import openable, streamed
+from jaxurban.cities.stands import is_water
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.geoparquet import read_geoparquet
 from jaxurban.io.issues import ReadIssue
@@ -225,11 +225,9 @@ def _read_parquet(path: Path, named: Collection[str] | None) -> gpd.GeoDataFrame
     shapes = json.loads(facts or b"{}").get("columns", {})
     if facts is None:
         shapes = [field.name for field in schema if "binary" in str(field.type)][:1]
-    columns = [
-        name
-        for name in schema.names
-        if name in shapes or named is None or is_of_buildings(name, named)
-    ]
+    columns = schema.names
+    if named is not None:
+        columns = [name for name in columns if name in shapes or is_of_buildings(name, named)]
     if facts is None:
         frame = pd.read_parquet(path, columns=columns)
         for name in shapes:
@@ -468,26 +466,17 @@ def read_vector(
         # All that touch the box around those that touch the region: so every outline comes with all its parts, and
         # every part with its outline, however large they are.
         boxes = frame.bounds.to_numpy()
-        is_near = meets(boxes, box)
-        is_lost = frame.geometry.isna().to_numpy()  # what has no shape may stand anywhere
-        frame = frame[meets(boxes, extent_of(boxes[is_near])) | is_lost]
+        near_box = extent_of(boxes[meets(boxes, box)])
+        # What has no shape may stand anywhere.
+        frame = frame[meets(boxes, near_box) | frame.geometry.isna()]
 
     # Polygons, also those in collections, and places where a geometry is missing.
     shapes = without_collections(np.array(frame.geometry, object))
     is_kept = np.isin(shapely.get_type_id(shapes), POLYGONS) | shapely.is_missing(shapes)
 
     # And what is named.
-    names = [name for name in frame if is_of_buildings(name, named)]
-    columns = {name: _values(frame[name]) for name in names}
+    columns = {name: _values(frame[name]) for name in frame if is_of_buildings(name, named)}
     tags = tags_of(columns) if file is None else tags_of_table(columns, file, frame.crs)
-    for key in ("building", "part", "height", *KINDS):
-        if key in tags:
-            is_kept |= is_given(tags[key])
-    some: tuple[Mapping[str, Collection[str]], ...] = (BY_VALUE, IN_WORDS, WATERS)
-    for key, values in (item for by_key in some for item in by_key.items()):
-        if key in tags:
-            words = pd.Series(tags[key]).astype(str).str.lower()
-            is_kept |= words.isin([*values]).to_numpy()
     outlines = Outlines(
         polygons=shapes,
         tags=tags,
@@ -497,7 +486,11 @@ def read_vector(
         attribution=facts.get("credit", ""),
         is_part=box is not None,
     )
-    is_kept |= is_raised(outlines)
+    for key in tags.keys() & {"building", "part", "height", *KINDS}:
+        is_kept |= is_given(tags[key])
+    for key, values in (*BY_VALUE.items(), *IN_WORDS.items()):
+        is_kept |= outlines.says(key, values)
+    is_kept |= is_water(outlines) | is_raised(outlines)
     is_ring = is_kept & shapely.is_ring(shapes)
     shapes[is_ring] = [shapely.Polygon(ring) for ring in shapes[is_ring]]
     issues = {**outlines.issues, ReadIssue.NON_POLYGONS: int(np.sum(~is_kept))}

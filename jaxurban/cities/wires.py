@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
-from jaxurban.cities.kinds import LONG_SPAN_M, Kind
+from jaxurban.cities.kinds import LONG_SPAN_M
 from jaxurban.cities.outlines import Outlines
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from jaxurban.world.kinds import WIRES
@@ -20,7 +20,7 @@ def in_spans(outlines: Outlines) -> Outlines:
       outlines: from `what_stands`.
     """
     kinds = outlines.tags["verdict"]
-    is_wire = np.array([isinstance(kind, Kind) and kind.name in WIRES for kind in kinds], bool)
+    is_wire = np.array([getattr(kind, "name", "") in WIRES for kind in kinds], bool)
     is_wire &= shapely.get_dimensions(outlines.polygons) > 0
     wires = np.flatnonzero(is_wire)
     lines = outlines.polygons[wires]
