@@ -224,15 +224,17 @@ def tags_of_table(
         tags["height"] = np.asarray(tops - bottoms) * unit_m
     elif roof:
         height = _in_metres(values[roof], unit_m)
-        tags["height"] = height if file.height_column else _filled(height, tags.get("height"))
+        if not file.height_column:
+            height = _filled(height, tags.get("height", height))
+        tags["height"] = height
     if "min_height" in tags:
         tags["min_height"] = _in_metres(tags["min_height"], unit_m)
     return tags
 
 
-def _filled(column: np.ndarray, other: np.ndarray | None) -> np.ndarray:
-    """Return a column ``[N]`` that has the values of another, if there is one, where it holds nothing."""
-    return column if other is None else np.where(is_given(column), column, other)
+def _filled(column: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return a column ``[N]`` that has the values of another where it holds nothing."""
+    return np.where(is_given(column), column, other)
 
 
 def _opened(values: Columns) -> Columns:

@@ -60,6 +60,7 @@ TAGS = {
 }
 TO_WKB = osmium.geom.WKBFactory()
 Key = tuple[str, int]  # "n", "w" or "r", and an id
+Tags = dict[str, str]  # of an object
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
 # Keys of a filter, which passes some that `_may_stand` leaves out. It takes as long as it has keys to ask for, so the
@@ -123,12 +124,12 @@ class _Objects:
 
     def __init__(self, path: str | Path) -> None:
         """Read a file that pyosmium can read."""
-        self.tags: dict[Key, dict[str, str]] = {}
+        self.tags: dict[Key, Tags] = {}
         self.shapes: dict[Key, str] = {}
         self.areas, self.closed, self.open_ways, self.missing = (set[Key]() for _ in range(4))
         self.lines: dict[int, shapely.Geometry] = {}
         self.ways_of: dict[Key, list[int]] = {}
-        self.of_members: dict[Key, dict[str, str]] = {}
+        self.of_members: dict[Key, Tags] = {}
         self.num_repaired = 0
         self._read_objects(path)
         self._read_lines(path)
@@ -186,7 +187,7 @@ class _Objects:
             self._keep_line(way)
             (self.closed if way.is_closed() else self.open_ways).add(key)
 
-    def _keep_relation(self, item: Any, tags: dict[str, str]) -> bool:
+    def _keep_relation(self, item: Any, tags: Tags) -> bool:
         """Keep the members of a relation that may need them; return whether it may stand itself, by its tags."""
         of_type = item.tags.get("type")
         if of_type == BUILDING:
@@ -293,7 +294,7 @@ class _Objects:
         }
 
 
-def _tags_of(tags: Any) -> dict[str, str]:
+def _tags_of(tags: Any) -> Tags:
     """Return those tags of an object that say what stands."""
     if "building" in tags:  # with many others
         return _named(tags, OF_BUILDINGS)
@@ -302,7 +303,7 @@ def _tags_of(tags: Any) -> dict[str, str]:
     return {name: value for name, value in _all_of(tags) if name in TAGS}
 
 
-def _named(tags: Any, names: Sequence[str]) -> dict[str, str]:
+def _named(tags: Any, names: Sequence[str]) -> Tags:
     """Return those tags of an object that have some names."""
     get = tags.get
     return {name: value for name in names if (value := get(name)) is not None}
@@ -313,7 +314,7 @@ def _all_of(items: Any) -> Iterator[Any]:
     return islice(items, len(items))
 
 
-def _may_stand(tags: dict[str, str], is_thin: bool = False) -> bool:
+def _may_stand(tags: Tags, is_thin: bool = False) -> bool:
     """Return whether an object with these tags (`_tags_of`) may stand, or is water or ground."""
     if not tags.keys().isdisjoint(SURE) or tags.get("barrier", "kerb") not in LOW_BARRIERS:
         return True

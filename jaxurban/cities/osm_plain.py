@@ -24,6 +24,7 @@ from jaxurban.errors import InputError, readable
 from jaxurban.io.files import pieces_of
 from jaxurban.io.sniff import in_own_words, scratch_folder, sniff, unpacked
 
+Element = dict[str, Any]  # as in the Overpass API's JSON
 OBJECTS = ("node", "way", "relation")  # in the order of a file
 EDITED = re.compile(rb"""\sid=["']-|action=["']delete""")
 PLACED = re.compile(rb"<nd [^/]*\blat=")  # a place in a way or a member
@@ -101,7 +102,7 @@ def _needs_writing(name: str, file: Path) -> bool:
         )
 
 
-def _of_xml(file: Path) -> Iterator[dict[str, Any]]:
+def _of_xml(file: Path) -> Iterator[Element]:
     """Yield the objects of XML as the Overpass API's JSON has them, all numbers as text; deleted ones are left out."""
     pieces = pieces_of(file)
     source: Any = SimpleNamespace(read=lambda _: next(pieces, b""))
@@ -117,7 +118,7 @@ def _of_xml(file: Path) -> Iterator[dict[str, Any]]:
         item.clear()
 
 
-def _line_of(item: ElementTree.Element) -> dict[str, Any]:
+def _line_of(item: ElementTree.Element) -> Element:
     """Return the attributes of an object or a member, its type, its nodes, and the places that it has of them."""
     corners = item.findall("nd")
     return {
@@ -128,9 +129,7 @@ def _line_of(item: ElementTree.Element) -> dict[str, Any]:
     }
 
 
-def _write(
-    name: str, plain: Path, elements: Iterable[dict[str, Any]], header: osmium.io.Header
-) -> None:
+def _write(name: str, plain: Path, elements: Iterable[Element], header: osmium.io.Header) -> None:
     """Write objects, as the Overpass API's JSON has them, as plain XML in order; errors as of `plain_osm`.
 
     Nodes and ways that the file has in ways and members alone become nodes and ways too. Of an object that comes
@@ -143,7 +142,7 @@ def _write(
         """Return an object's id, above 0."""
         return int(ref) if str(ref).isdigit() else own[kind, str(ref)]
 
-    def keep(kind: str, ref: Any, about: dict[str, Any]) -> int:
+    def keep(kind: str, ref: Any, about: Element) -> int:
         """Keep an object with all that it holds, unless there is one that says more; return its id."""
         item: Any
         if kind == "node":
