@@ -284,7 +284,7 @@ def _limits_m(
       found: ``B`` outlines with what their tag calls them and how far they rise.
       rules: height of one level.
       highest_m, likely_m: ``[B]`` of their classes. What names call low is bounded by the highest that the file knows;
-        others have no bound where higher ones are known or likely, as nothing says how high a tower is.
+        others have no bound where higher ones are known, likely or estimated, as nothing says how high a tower is.
     """
     num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
     by_name_m = np.maximum(limits_by_name_m(found, LIMIT_M), found.tags["kind_limit_m"])
@@ -296,7 +296,11 @@ def _limits_m(
         HeightOrigin.LEVELS: LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M,
         HeightOrigin.DEFAULT: of_class_m,
         HeightOrigin.ROUGH: np.maximum(ROUGH_LIMIT * buildings.height_m, of_class_m),
-        HeightOrigin.ESTIMATED: np.fmax(of_class_m, lengths_m(found, "estimated_to_m")),
+        HeightOrigin.ESTIMATED: np.where(
+            buildings.height_m > of_class_m,
+            np.inf,
+            np.fmax(of_class_m, lengths_m(found, "estimated_to_m")),
+        ),
     }
     of_origin = [buildings.origin == origin for origin in limits_m]
     above_m = np.select(of_origin, list(limits_m.values()), np.inf)

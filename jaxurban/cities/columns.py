@@ -150,7 +150,7 @@ def tags_of(columns: Mapping[Any, np.ndarray], file_name: str = "") -> dict[str,
 
     Args:
       columns: ``[N]`` values by name; columns of other names are left out.
-      file_name: of a table, which may say that a model estimated its heights.
+      file_name: of a table, and its column of heights: these may say that a model estimated them.
     """
     values = {_plain(name): column for name, column in columns.items()}
     if UNDERGROUND_COLUMN in values:
@@ -204,7 +204,7 @@ def tags_of_table(
     schema = next((names for names in SCHEMAS if set(names.split()) <= values.keys()), "")
     if schema:  # whose figures of confidence are those of a survey
         values = {name: column for name, column in values.items() if name not in FIGURES}
-    tags = tags_of(values, Path(file.source).name)
+    tags = tags_of(values, f"{Path(file.source).name} {file.height_column or ''}")
     if file.levels_column is not None:
         tags["levels"] = columns[file.levels_column]
 

@@ -20,17 +20,19 @@ from jaxurban.cities.heights import is_given, parse_length_m, read_column
 # Columns by their names as in `columns.COLUMNS`, those of ten letters as Shapefiles cut them.
 METHODS = (
     *("height_source", "source_height", "height_method", "height_origin", "height_status"),
+    *("heightsource", "height_src", "src_height", "heightmethod", "height_provenance"),
     *("height_sou", "source_hei", "height_met", "height_ori", "height_sta"),
     *("heightaboveground_status", "datenquelledachhoehe", "dqdach"),
 )
+UNSAID = ("unknown", "none", "n/a", "na", "-", "?")  # words of a method that say nothing
 SOURCES = "sources"  # of Overture
 VARIANCE = "var"  # in square metres
 UPPER = "height_confidence_upper"
-FIGURES = ("confidence", "height_confidence", VARIANCE, UPPER)  # which models give
+FIGURES = ("confidence", "height_confidence", "height_con", VARIANCE, UPPER)  # which models give
 # What a method, a source or a file's name says of a model, and of no survey; 2000 and 3000 are Germany's codes of
 # heights by storeys and by default.
 MODEL = re.compile(
-    "estim|predict|infer|imput|guess|default|assum|schätz|schaetz|geschat|推定|neural|machine|deep.?learn|"
+    "estim|predict|infer|imput|guess|default|assum|schätz|schaetz|geschat|推定|neural|machine|deep.?learn|regress|random.?forest|xgboost|sentinel|ghs|wsf|"
     "microsoft|msft|google|open.?buildings|globfp|global.?building.?atlas|^(?:ml|ai|modell?(?:ed)?|[23]000(?:\\.0)?)$|^doi:",
     re.IGNORECASE,
 )
@@ -72,7 +74,8 @@ def _origins(values: Mapping[str, np.ndarray]) -> Iterator[np.ndarray]:
     """Yield ``[N]`` what each column that is there says of where heights are from, blank where it says nothing."""
     for name in METHODS:
         if name in values:
-            yield values[name]
+            words = pd.Series(values[name], dtype=object)
+            yield words.mask(words.astype(str).str.lower().isin(UNSAID)).to_numpy()
     if SOURCES in values:
         yield np.array([_dataset_of(text) for text in values[SOURCES]], object)
     for name in FIGURES:

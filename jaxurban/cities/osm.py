@@ -321,7 +321,7 @@ def _may_stand(tags: Tags, is_thin: bool = False) -> bool:
     for key in SOME.keys() & tags.keys():
         if _is_some(key, tags[key], is_thin):
             return True
-    return tags.get("layer", "0") > "0" and ("highway" in tags or "railway" in tags)
+    return tags.get("layer", "0").lstrip(" +") > "0" and ("highway" in tags or "railway" in tags)
 
 
 @lru_cache(maxsize=2**12)

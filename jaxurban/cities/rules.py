@@ -184,12 +184,13 @@ THINGS: dict[str, Gives] = {
     "seamark:type: pipeline_overhead conveyor": UNLISTED,
     "advertising: billboard totem sign screen flag sculpture tarp": UNLISTED,
     "advertising: column": LAMP,
-    "memorial: statue obelisk column tower arch monument": MONUMENT,
+    "memorial: statue obelisk column tower arch monument cenotaph mausoleum": MONUMENT,
     "memorial: war_memorial sculpture stele cross pavilion": SLENDER,
+    "artwork of unknown type": UNLISTED,
+    "artwork_type: *": UNLISTED,
     "artwork_type: statue obelisk column tower arch monument": MONUMENT,
     "artwork_type: sculpture installation architecture totem totem_pole windmill": SLENDER,
     "tourism: artwork": FIXED,  # where its type says so, as of a mural
-    "artwork of unknown type": UNLISTED,
     "emergency: siren": SLENDER,
     "emergency: lifeguard_tower": LAMP,
     "amenity: hunting_stand": LAMP,
@@ -200,7 +201,7 @@ THINGS: dict[str, Gives] = {
     "aeroway of lone things: hangar terminal": BUILDING,
     "railway of lone things: engine_shed roundhouse signal_box workshop": BUILDING,
     "leisure of lone things: sports_hall": BUILDING,
-    "leisure of lone things: stadium grandstand": LARGE,
+    "leisure of lone things: stadium grandstand arena": LARGE,
     "leisure of lone things: water_park water_slide high_ropes_course adventure_park": UNLISTED,
     "leisure of lone things: bleachers bandstand bird_hide wildlife_hide": SHED,
     "military of lone things: barracks bunker checkpoint": HULL,
@@ -211,22 +212,26 @@ THINGS: dict[str, Gives] = {
     "pharmacy clinic doctors dentist veterinary nursing_home social_facility social_centre childcare restaurant cafe "
     "fast_food bar pub food_court ice_cream internet_cafe coworking_space public_bath dojo driving_school "
     "language_school music_school dancing_school vehicle_inspection ferry_terminal animal_boarding animal_shelter "
-    "animal_breeding ranger_station hookah_lounge": HULL,
+    "animal_breeding ranger_station hookah_lounge retirement_home convention_centre dormitory register_office": HULL,
+    "healthcare of lone areas: hospital clinic doctor dentist centre laboratory pharmacy": HULL,
+    "craft of lone areas: brewery carpenter sawmill winery distillery": HULL,
     "amenity of lone areas: fuel car_wash toilets shower kiosk stage dressing_room compressed_air boat_storage "
     "sanitary_dump_station": SHED,
     "leisure of lone areas: fitness_centre dance bowling_alley ice_rink amusement_arcade adult_gaming_centre "
-    "escape_game hackerspace indoor_play trampoline_park tanning_salon sauna social_club": HULL,
+    "escape_game hackerspace indoor_play trampoline_park tanning_salon sauna social_club spa": HULL,
     "tourism of lone areas: hotel motel hostel guest_house apartment apartments chalet alpine_hut wilderness_hut "
     "museum gallery aquarium": HULL,
-    "shop of lone areas: mall department_store supermarket convenience wholesale general variety_store clothes shoes "
+    "shop of lone areas: mall department_store supermarket convenience wholesale tiles tailor farm truck "
+    "musical_instrument hifi chocolate general variety_store clothes shoes "
     "jewelry optician books stationery electronics computer mobile_phone furniture kitchen interior_decoration "
     "doityourself hardware trade paint garden_centre florist agrarian car car_repair car_parts caravan boat motorcycle "
     "tyres bicycle sports outdoor toys gift art antiques second_hand charity bakery butcher deli beverages alcohol "
     "greengrocer seafood confectionery pastry chemist beauty hairdresser cosmetics massage laundry dry_cleaning kiosk "
     "newsagent tobacco ticket travel_agency funeral_directors pet copyshop rental storage_rental houseware fabric "
     "vacant yes": HULL,
-    "office of lone areas: company government administrative diplomatic ngo association insurance financial lawyer "
-    "estate_agent it coworking research educational_institution telecommunication energy_supplier religion yes": HULL,
+    "office of lone areas: company government administrative diplomatic tax_advisor logistics ngo association "
+    "insurance financial lawyer estate_agent it coworking research "
+    "educational_institution telecommunication energy_supplier religion yes": HULL,
     "public_transport of lone areas: station": HULL,
     "railway of lone areas: station halt": HULL,
     "emergency of lone areas: ambulance_station mountain_rescue": HULL,
@@ -372,7 +377,7 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray]:
     for shape, of_keys in of_shapes.items():
         ranks = reduce(np.maximum, of_keys) * signs.get(shape, True)
         if shape.startswith("lone"):
-            ranks *= are_lone(outlines, signs["building"], ranks > 0)
+            ranks *= are_lone(outlines, signs["building"] & ~signs["below"], ranks > 0)
         held.append(ranks)
     beside = reduce(np.maximum, held)
     decided = reduce(np.maximum, [RANKS[name] * signs[name] for name in BUILDINGS], beside)

@@ -18,6 +18,7 @@ from jaxurban.settings import MAX_HEIGHT_M
 
 NO = ("", "no", "false", "none", "null", "nan")
 ZERO = ("0", "0.0")
+GROUND_SHARE = 0.1  # a kiosk within a stadium makes no ground of it
 FLAGS = {*ZERO, "1", "1.0"}  # of a column of yes and no; other numbers are names
 Signs = dict[str, Any]
 
@@ -36,8 +37,8 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     is_way = dimension > 0
     is_area = ~np.isin(dimension, (0, 1))  # what has no shape may have been one
     has_names = "building" in outlines.tags
-    # As a building or as none; in a file that never says it every area is one.
-    is_named = outlines.texts("building") != "" if has_names else is_area
+    # As a building; in a file that never says it every area is one.
+    is_named = _has(outlines, "building") if has_names else is_area
     height_m, is_worded = _heights_beside(outlines, ~is_named)
     is_low = (height_m < LOW_M) | _has(outlines, "indoor")
     is_traffic = is_raised(outlines)
@@ -49,6 +50,7 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     is_high = is_own & (height_m >= LOW_M)
     is_beyond = is_own & (height_m > MAX_HEIGHT_M)
     has_levels = read_column(outlines.column("levels"), parse_count) > 0
+    is_unnamed = outlines.texts("building") == ""
     is_buried = outlines.says("parking", [ReadIssue.UNDERGROUND])
     is_unknown = np.isnan(height_m) & ~(is_worded | is_named) & (outlines.texts("wind") == "")
     is_of_wind = outlines.says("wind", WIND)
@@ -70,7 +72,7 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
         "generator of unknown source and height": (
             is_unknown & outlines.says("power", ["generator"])
         ),
-        "levels of a building": has_levels & has_names & is_own & ~(is_named | is_buried),
+        "levels of a building": has_levels & has_names & is_own & is_unnamed & ~is_buried,
         "artwork of unknown type": (
             outlines.says("tourism", ["artwork"]) & (outlines.texts("artwork_type") == "")
         ),
@@ -100,21 +102,24 @@ def _building_signs(
 
 
 def are_lone(outlines: Outlines, is_building: np.ndarray, is_asked: np.ndarray) -> np.ndarray:
-    """Return which of the features that are asked for, ``[N]`` bool, lie in no building and hold none.
+    """Return which of the features that are asked for, ``[N]`` bool, lie in no building and are not their ground.
 
-    A middle decides, as outlines need not be valid.
+    That is where buildings cover `GROUND_SHARE` of it. A middle decides where they lie, as outlines need not be valid.
 
     Args:
       outlines: the features.
       is_building, is_asked: ``[N]`` bool.
     """
     is_lone = is_asked.copy()
-    shapes, buildings = outlines.polygons[is_asked], outlines.polygons[is_building]
-    index, near = shapely.STRtree(buildings).query(shapes)
-    shapes, buildings = shapes[index], buildings[near]
+    asked, buildings = outlines.polygons[is_asked], outlines.polygons[is_building]
+    index, near = shapely.STRtree(buildings).query(asked)
+    shapes, buildings = asked[index], buildings[near]
     is_within = shapely.within(shapely.point_on_surface(shapes), buildings)
     holds = shapely.within(shapely.point_on_surface(buildings), shapes)
-    is_lone[np.flatnonzero(is_asked)[index[is_within | holds]]] = False
+    held_m2 = np.bincount(index, shapely.area(buildings) * holds, len(asked))
+    is_ground = held_m2 > GROUND_SHARE * shapely.area(asked)
+    is_ground[index[is_within]] = True
+    is_lone[is_asked] = ~is_ground
     return is_lone
 
 
@@ -134,7 +139,8 @@ def _is_gone(outlines: Outlines, reason: ReadIssue) -> np.ndarray:
 def _heights_beside(outlines: Outlines, is_asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the heights of features in metres, and whether they are words, ``[N]`` each.
 
-    NaN without one and of words, 0 of what is not above the ground, inf of what seems to be and cannot be read.
+    NaN without one, of words, and of what is no height above the ground, such as "?" and -5; inf of what seems to be
+    one and cannot be read.
     """
     column = outlines.column("height")
     height_m = np.full(len(column), np.nan)
@@ -143,5 +149,5 @@ def _heights_beside(outlines: Outlines, is_asked: np.ndarray) -> tuple[np.ndarra
         text = str(column[index]).strip().lower()
         is_worded[index] = text.isalpha() and text not in NO
         if not is_worded[index]:
-            height_m[index] = max(0.0, parse_height_m(text))
+            height_m[index] = parse_height_m(text)
     return height_m, is_worded

@@ -30,12 +30,12 @@ def what_stands(outlines: Outlines, has_decks: bool) -> tuple[Outlines, ReadIssu
       that which decided; ``label``, what the file calls what is unknown; ``kind_limit_m``, the bound of a building's
       other kind, 0 without one; ``is_part`` and ``is_deck``, ``[N]`` bool, of buildings.
     """
-    signs = signs_of(outlines, has_decks)
+    signs = signs_of(outlines, has_decks) | {"below": _is_below(outlines)}
     decided, beside = decide(outlines, signs)
     reason = np.array([getattr(gives, "counted_as", None) for gives in GIVES], object)[decided]
     stands = pd.isna(reason)
     reason[~stands & is_water(outlines)] = None
-    is_below = stands & _is_below(outlines)
+    is_below = stands & signs["below"]
     reason[is_below] = ReadIssue.UNDERGROUND
     limits_m = np.array([getattr(gives, "limit_m", 0.0) for gives in GIVES])
     more = {

@@ -194,9 +194,10 @@ def _height_origin(others: _Others) -> np.ndarray:
 
 
 def _bound_m(others: _Others) -> np.ndarray:
-    """Return ``[N]`` the bound: that of the kind, but none where higher is likely or a height cannot be read.
+    """Return ``[N]`` the bound: that of the kind, but none where higher is likely or estimated.
 
-    It is not below what the file knows of the same row of the table. What is not whole has that of its building.
+    Nor has one what has a height that cannot be read. It is not below what the file knows of the same row of the table.
+    What is not whole has that of its building.
     """
     tags = others.outlines.tags
     hull_m2 = shapely.area(shapely.convex_hull(others.outlines.polygons))
@@ -204,6 +205,8 @@ def _bound_m(others: _Others) -> np.ndarray:
     of_hulls_m = limits_by_name_m(others.outlines, of_hulls_m) + tags["rise_m"]
     of_kind_m = np.where(others.kinds == HULL, of_hulls_m, others.sizes.limit_m)
     is_open = of_kind_m < np.fmax(others.guess_m, others.likely_m)
+    is_doubted = np.isin(others.stated.origin, (HeightOrigin.ROUGH, HeightOrigin.ESTIMATED))
+    is_open |= is_doubted & (others.stated.height_m > of_kind_m)
     is_open |= others.stated.origin == HeightOrigin.UNREADABLE
     row = np.where(tags["label"] == "", others.kinds, tags["label"])
     highest_m = pd.Series(others.measured_m).groupby(row, sort=False).transform("max")

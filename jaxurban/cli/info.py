@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from jaxurban.io.city import City
     from jaxurban.maps.metric_maps import MetricMaps
 
+MOST_SHOWN = 80  # letters of a fact: the name of a rule may hold many values
 MOST_BYTES = 2**30  # of any other file than of buildings or a raster: most are read whole
 MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # and nothing else
 
@@ -44,7 +45,11 @@ def info_command(path: Path, place: Point | None, as_json: bool) -> None:
             rows = json.loads(things.to_json(orient="records"))  # null where nothing is known
             print_json({"stands": things.columns.name, "numbers": rows})
         else:
-            print(things.T.to_string(header=False))
+            print(
+                things.T.to_string(header=False, max_colwidth=MOST_SHOWN)
+                if len(things)
+                else things.columns.name
+            )
         return
     if has_maps:
         facts, numbers = _facts_of_maps(path)

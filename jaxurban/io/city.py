@@ -237,9 +237,10 @@ class City(FactsRepr):
         """Return what stands at a place, by which rule, how high it is, and how that is known.
 
         A thing stands there if its outline is at most 1 m away, as wires and walls are thin; a raster says what its
-        pixel holds, NaN where it has no value. **Where nothing stands, the table is headed so and holds the nearest
-        thing.** What a file holds and the rules leave out, such as a fence, a pier or a tunnel, is not kept and not
-        listed; ``read_issues`` counts it by reason. Whether a kind counts in maps (``kinds``) does not matter here.
+        pixel holds, and nothing is known where that has no value. **Where nothing stands, the table is headed so and
+        holds the nearest thing.** What a file holds and the rules leave out, such as a fence, a pier or a tunnel, is
+        not kept and not listed; ``read_issues`` counts it by reason. Whether a kind counts in maps (``kinds``) does not
+        matter here.
 
         Args:
           lon, lat: longitude and latitude of the place in degrees.

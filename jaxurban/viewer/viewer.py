@@ -71,6 +71,7 @@ from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, packed_tile, strides_o
 from jaxurban.world.grid import crs_said
 
 JSON, BYTES = "application/json", "application/octet-stream"
+MOST_OF_RULE = 60  # letters of its name, which may hold many values
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
 PLANNER_LINES = planner_colours(PLANNERS)
 TOTALS = (  # of `RouteReport.facts`; the costs of layers stand below these, and the whole report is in a fold
@@ -366,7 +367,8 @@ class Viewer:
         if city is None:
             return ""
         things = city.why(*query.place)
-        shown = things[["kind", "height_m", "known_by", "rule"]]
+        things["rule"] = things["rule"].str.slice(stop=MOST_OF_RULE)
+        shown = things[["kind", "height_m", "highest_m", "known_by", "rule"]]
         table = shown.to_html(index=False, index_names=False, border=0, na_rep="?")
         return sentences([("note", str(things.columns.name))]) + table
 

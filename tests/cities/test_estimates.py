@@ -158,6 +158,7 @@ def test_the_word_on_heights_is_refused_of_a_raster(tmp_path):
         (10.0, 20.0, 95.0, 95.0, 100.0),  # its own is higher than what is likely
         (10.0, 20.0, 130.0, 130.0, 130.0),  # and than the bound
         (10.0, 60.0, 0.0, 60.0, 100.0),  # higher than what is likely of its class
+        (10.0, 150.0, 0.0, 150.0, np.inf),  # nor has one that is higher than that of its class
         (40.0, 20.0, 95.0, 427.0, np.inf),  # large ones have no bound
     ],
 )
@@ -170,6 +171,27 @@ def test_likely_and_bound_are_the_higher_of_the_model_and_of_the_class(
     assert buildings.height_m.tolist() == [height_m]
     assert buildings.likely_upper_m[0] == pytest.approx(likely_m)
     assert buildings.upper_m[0] == pytest.approx(bound_m)
+
+
+def test_a_method_that_says_nothing_leaves_it_to_the_next_word(tmp_path):
+    for word in ("unknown", "None", "n/a"):
+        city = city_of(tmp_path / "a.geojson", {"height_source": word, "confidence": 0.9})
+        assert city.buildings.origin.tolist() == [HeightOrigin.ESTIMATED]
+
+
+def test_a_column_that_the_user_names_may_say_that_it_is_of_a_model(tmp_path):
+    path = write_vector(tmp_path / "a.geojson", [SQUARE], WGS84, predicted_height=[20.0])
+    file = ju.Buildings(path, height_column="predicted_height", unit="m")
+    assert read_buildings(file, UTM).buildings.origin.tolist() == [HeightOrigin.ESTIMATED]
+
+
+@pytest.mark.parametrize("heights", [{"heights": "estimated"}, {}])
+def test_a_lamp_whose_doubtful_height_exceeds_its_bound_has_none(tmp_path, heights):
+    path = tmp_path / "a.osm"
+    tag = "height" if heights else "est_height"
+    path.write_text(osm(node(1, LON, LAT, highway="street_lamp", **{tag: "40"})))
+    lamp = read_buildings(ju.Buildings(path, **heights), UTM).structures
+    assert (lamp.height_m.tolist(), lamp.upper_m.tolist()) == ([40], [np.inf])
 
 
 def test_highest_m_opens_estimates(tmp_path):

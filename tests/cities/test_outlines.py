@@ -187,7 +187,7 @@ CASES = {
         NO | {"polygons": [box(2 * i, 0, 2 * i + 1, 1) for i in range(5)]},
         [2],
         [3],
-        {"not_buildings": 2, "not_standing": 1},
+        {"not_standing": 3},
     ),
     "underground, and other layers": (
         on_one_square(6, **LAYERS),

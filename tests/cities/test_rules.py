@@ -21,7 +21,8 @@ def deciding(shape, **tags):
         name: np.array([value], object) for name, value in ({"building": None} | tags).items()
     }
     outlines = Outlines(np.array([shape], object), tags_of(columns), "EPSG:32618", (), {})
-    decided, _ = decide(outlines, signs_of(outlines, False))
+    signs = signs_of(outlines, False) | {"below": np.zeros(1, bool)}
+    decided, _ = decide(outlines, signs)
     return NAMES[decided[0]]
 
 

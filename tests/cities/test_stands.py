@@ -515,11 +515,52 @@ def test_grounds_places_and_low_things_are_nothing_by_their_names(shape, tags, r
 )
 def test_what_holds_a_building_or_lies_in_one_is_its_ground_or_a_place_in_it(tags):
     house = {"building": "yes", "height": "12"}
-    for shape in (box(-20, -20, 40, 40), box(2, 2, 8, 8), AREA):
+    for shape in (box(-10, -10, 15, 15), box(2, 2, 8, 8), AREA):
         buildings, structures, _ = stand((AREA, house), (shape, tags))
         assert (buildings.height_m.tolist(), len(structures)) == ([12], 0)
     beside = stand((AREA, house), (box(10, 0, 20, 10), tags))
     assert len(beside[0]) + len(beside[1]) == 2
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        {"leisure": "stadium"},
+        {"parking": "multi-storey"},
+        {"aeroway": "terminal"},
+        {"shop": "mall"},
+    ],
+)
+def test_what_holds_a_kiosk_or_lies_over_a_cellar_stands(tags):
+    kiosk = (box(2, 2, 5, 5), {"building": "kiosk"})
+    cellar = (box(-20, -20, 120, 120), {"building": "garage", "location": "underground"})
+    for beside in (kiosk, cellar):
+        buildings, structures, _ = stand((box(0, 0, 100, 100), tags), beside)
+        assert max(shapely.area(buildings.joined(structures).polygons)) >= 9_000
+
+
+@pytest.mark.parametrize("height", ["?", "n/a", "-", "very tall", "forty m", "-5", "NaN", "None"])
+@pytest.mark.parametrize(
+    "tags", [{"leisure": "stadium"}, {"historic": "castle"}, {"highway": "street_lamp"}]
+)
+def test_a_height_that_says_nothing_takes_nothing_away(tags, height):
+    _, plain, _ = stand((AREA, {"building": "", **tags}))
+    _, structures, _ = stand((AREA, {"building": "", "height": height, **tags}))
+    assert structures.named.tolist() == plain.named.tolist()
+    assert structures.upper_m >= plain.upper_m
+
+
+def test_what_is_no_building_by_its_tag_stands_by_its_height_and_by_other_tags():
+    _, structures, _ = stand((AREA, {"building": "no", "height": "30"}))
+    assert structures.height_m.tolist() == [30]
+    _, structures, _ = stand((AREA, {"building": "no", "leisure": "stadium"}))
+    assert structures.named.tolist() == ["leisure=stadium"]
+
+
+@pytest.mark.parametrize("artwork", [{"artwork_type": "kinetic"}, {}])
+def test_art_of_a_type_that_is_not_listed_is_unknown_as_that_of_none_is(artwork):
+    _, structures, _ = stand((PLACE, {"building": "", "tourism": "artwork", **artwork}))
+    assert structures.upper_m.tolist() == [50]
 
 
 def test_a_table_that_names_no_buildings_holds_some_whatever_they_are_used_for():

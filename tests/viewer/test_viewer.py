@@ -631,7 +631,7 @@ def test_a_place_says_what_stands_there_and_why_and_maps_alone_say_nothing_of_it
         return answer(viewer, "stands", at=[0, 0, 0], place=place)
 
     cells = re.findall(r"<td>(.*?)</td>", said(30, 40))
-    assert cells == ["building", "8.0", "a height in its file", "building"]
+    assert cells == ["building", "8.0", "8.0", "a height in its file", "building"]
     assert "this stands at" in said(30, 40)
     assert "nothing stands at" in said(120, 40)
     assert "attraction=&lt;b&gt;wheel" in said(230, 150)
