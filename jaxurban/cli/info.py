@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from jaxurban.io.city import City
     from jaxurban.maps.metric_maps import MetricMaps
 
-MOST_SHOWN = 80  # letters of a fact: the name of a rule may hold many values
+MOST_OF_RULE = 60  # letters of its name, which may hold many values
 MOST_BYTES = 2**30  # of any other file than of buildings or a raster: most are read whole
 MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # and nothing else
 
@@ -44,12 +44,11 @@ def info_command(path: Path, place: Point | None, as_json: bool) -> None:
         if as_json:
             rows = json.loads(things.to_json(orient="records"))  # null where nothing is known
             print_json({"stands": things.columns.name, "numbers": rows})
+        elif len(things):
+            things["rule"] = things["rule"].str.slice(stop=MOST_OF_RULE)
+            print(things.T.to_string(header=False))
         else:
-            print(
-                things.T.to_string(header=False, max_colwidth=MOST_SHOWN)
-                if len(things)
-                else things.columns.name
-            )
+            print(things.columns.name)
         return
     if has_maps:
         facts, numbers = _facts_of_maps(path)
