@@ -178,14 +178,14 @@ KINDS = {
         ({"building:levels": ["4"]}, [12.0], {}),
         ({"levels": [4]}, [12.0], {}),
         ({"num_floors": [4.0]}, [12.0], {}),
-        ({"roof:height": ["4"]}, [33.0], {}),  # the height of the roof alone
+        ({"roof:height": ["4"]}, [18.9], {}),  # the height of the roof alone
         ({"heightroof": [40]}, [12.192], {}),  # New York's, in feet
         (
             {"height": [5.0, 6.0, 7.0], "is_underground": [True, False, None]},
             [6, 7],
             {"underground": 1},
         ),
-        (ONE_MEANING, [9, 6, 33], {"heights_unusable": 1}),  # they fill each other's gaps
+        (ONE_MEANING, [9, 6, 18.9], {"heights_unusable": 1}),  # they fill each other's gaps
         (KINDS, [8], {"outlines_replaced_by_parts": 1}),  # the last is no building, and stands
     ],
 )

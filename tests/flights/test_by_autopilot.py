@@ -231,22 +231,16 @@ def test_a_loiter_for_ever_is_named_as_such_and_a_line_ends_in_the_air(tmp_path)
 
 
 @pytest.mark.parametrize("command", [WAYPOINT, TIMED, TO_ALT, LAND, TAKEOFF])
-def test_px4_takes_0_0_for_a_place_so_that_such_an_item_is_not_judged_for_it(tmp_path, command):
+def test_px4_takes_0_0_for_a_place_and_the_note_says_so(tmp_path, command):
     scene = world((300.0, 500.0, 5.0, 5.0))
     there = (command, 3, None, 30.0, HOVER)
     rows = [there, to(300, 300)] if command == TAKEOFF else [up(), to(300, 300), there]
     text = wpl(scene, *rows)
     said = f"items that have it ({1 + rows.index(there)})"
-    told = {}
-    for autopilot in (None, "px4", "ardupilot"):
+    for autopilot, is_said in ((None, True), ("px4", True), ("ardupilot", False)):
         result = checked(scene, tmp_path, text, "m.waypoints", autopilot=autopilot)
-        places = [
-            each for each in ("notes", "not_judged") if said in " ".join(getattr(result, each))
-        ]
-        told[autopilot] = (result.state, places)
-    assert told[None] == ("clean", ["notes"])  # such a file was written for ArduPilot
-    assert told["px4"] == ("not-judged", ["not_judged"])
-    assert told["ardupilot"] == ("clean", [])
+        assert (said in " ".join(result.notes)) == is_said
+        assert result.state == "clean"
 
 
 def test_returns_are_named_for_both_and_the_worst_is_in_the_table(tmp_path):

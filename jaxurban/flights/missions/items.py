@@ -257,9 +257,7 @@ def mission_of(
     missions = []
     for flyer in flyers(autopilot):
         flown = FlownItems(items, start[0], return_altitude_m, flyer)
-        if zeros and autopilot == "px4":
-            flown.not_judged.append(ZERO_PLACE.format(listed(zeros)))
-        elif zeros and autopilot == "unknown":
+        if zeros and autopilot in ("px4", "unknown"):
             flown.notes.append(ZERO_PLACE.format(listed(zeros)))
         sentences = first_sentences([*flown.not_judged, *notes])
         if not flown.legs and not sentences:
