@@ -16,6 +16,7 @@ from typing import Any, Literal
 from jaxurban.errors import GuessWarning, in_words, warn
 
 LEAST_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
+MOST_OF_RULE = 60  # letters that are shown of the name of a rule, which may hold many values
 HIGHEST_M = 828.0  # Burj Khalifa, the highest building of the world
 
 

@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.samples import located
 from jaxurban.io.sniff import LIDAR, sniff
 from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
-from jaxurban.knowledge import names_of
+from jaxurban.knowledge import MOST_OF_RULE, names_of
 from jaxurban.terminal.common import GIVEN, JSON_FLAG, LONLAT, Point, Settings, print_json
 from jaxurban.terminal.options import command
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from jaxurban.io.city import City
     from jaxurban.maps.metric_maps import MetricMaps
 
-MOST_OF_RULE = 60  # letters of its name, which may hold many values
 MOST_BYTES = 2**30  # of any other file than of buildings or a raster: most are read whole
 MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # and nothing else
 

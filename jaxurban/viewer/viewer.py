@@ -28,6 +28,7 @@ from jaxurban.flights.return_altitude import NAME, return_altitude
 from jaxurban.io.city import City
 from jaxurban.io.store import OPENED
 from jaxurban.io.tables import number_or_none
+from jaxurban.knowledge import MOST_OF_RULE
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
@@ -71,7 +72,6 @@ from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, packed_tile, strides_o
 from jaxurban.world.grid import crs_said
 
 JSON, BYTES = "application/json", "application/octet-stream"
-MOST_OF_RULE = 60  # letters of its name, which may hold many values
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
 PLANNER_LINES = planner_colours(PLANNERS)
 TOTALS = (  # of `RouteReport.facts`; the costs of layers stand below these, and the whole report is in a fold
