@@ -594,6 +594,15 @@ def test_a_file_of_openstreetmap_is_read_for_every_value_that_stands(tmp_path):
     assert {*wanted} <= read
 
 
+@pytest.mark.parametrize(
+    ("layer", "is_read"), [("1", 1), ("+1", 1), (" 1", 1), ("0", 0), ("-1", 0)]
+)
+def test_a_way_above_the_ground_is_read_however_its_layer_is_written(tmp_path, layer, is_read):
+    way = line(1, [(8.5, 47.3), (8.501, 47.3)], highway="primary", layer=layer)
+    (tmp_path / "city.osm").write_text(osm(way))
+    assert len(read_osm(tmp_path / "city.osm").polygons) == is_read
+
+
 def test_a_site_of_points_alone_stands_where_these_are(tmp_path):
     site = '<member type="node" ref="1" role=""/><tag k="type" v="site"/><tag k="tourism" v="artwork"/>'
     relation = f'<relation id="1" version="1">{site}</relation>'
