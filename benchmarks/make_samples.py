@@ -68,6 +68,7 @@ TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
     "bridge_structure": "bridge:structure",
     "bridge_movable": "bridge:movable",
 }
+NOT_OF_BUILDINGS = {"amenity", "tourism"}  # what stands by its key `building` stands the same without them
 
 # Source: European GNSS Service Centre, Orbital and technical parameters (www.gsc-europa.eu), reference constellation:
 # Walker 24/3/1, 17 orbits in 10 sidereal days. Its nodes count from an origin that does not turn, as its rates show
@@ -117,7 +118,8 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     issues = {issue.value: count for issue, count in outlines.issues.items() if count}
     facts = {"credit": OSM_CREDIT, "licence": ODBL, "boxes": outlines.boxes, "issues": issues}
     # Not rounded: its maps are those of the extract itself.
-    write_geoparquet(home / BUILDINGS_FILE, _frame(outlines.take(is_kept), outlines.tags), facts)
+    names = [name for name in outlines.tags if name not in NOT_OF_BUILDINGS]
+    write_geoparquet(home / BUILDINGS_FILE, _frame(outlines.take(is_kept), names), facts)
 
     # What else stands, with all tags that say so, and the water that bridges cross.
     rest = outlines.take(~is_kept)
