@@ -68,7 +68,10 @@ TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
     "bridge_structure": "bridge:structure",
     "bridge_movable": "bridge:movable",
 }
-NOT_OF_BUILDINGS = {"amenity", "tourism"}  # what stands by its key `building` stands the same without them
+NOT_OF_BUILDINGS = {
+    "amenity",
+    "tourism",
+}  # what stands by its key `building` stands the same without them
 
 # Source: European GNSS Service Centre, Orbital and technical parameters (www.gsc-europa.eu), reference constellation:
 # Walker 24/3/1, 17 orbits in 10 sidereal days. Its nodes count from an origin that does not turn, as its rates show

@@ -143,14 +143,16 @@ def is_of_buildings(column: object, named: Collection[str] = ()) -> bool:
     return name in KNOWN or column in named or HEIGHT.search(name) is not None
 
 
-def tags_of(columns: Mapping[Any, np.ndarray], file_name: str = "") -> dict[str, np.ndarray]:
+def tags_of(
+    columns: Mapping[Any, np.ndarray], file_name: str = "", height_column: str = ""
+) -> dict[str, np.ndarray]:
     """Return columns, or OpenStreetMap's tags, of outlines under the names that `Outlines` knows.
 
     Of several columns that hold one tag the first that is filled counts, row by row.
 
     Args:
       columns: ``[N]`` values by name; columns of other names are left out.
-      file_name: of a table, and its column of heights: these may say that a model estimated them.
+      file_name, height_column: of a table: these may say that a model estimated its heights.
     """
     values = {_plain(name): column for name, column in columns.items()}
     if UNDERGROUND_COLUMN in values:
@@ -175,7 +177,7 @@ def tags_of(columns: Mapping[Any, np.ndarray], file_name: str = "") -> dict[str,
             tags[tag] = reduce(_filled, of_tag)
     if "max_height" in values:
         tags.pop("min_height", None)  # it is that of the lowest roof
-    return with_estimates(tags, values, file_name)
+    return with_estimates(tags, values, file_name, height_column)
 
 
 def tags_of_table(
@@ -204,7 +206,7 @@ def tags_of_table(
     schema = next((names for names in SCHEMAS if set(names.split()) <= values.keys()), "")
     if schema:  # whose figures of confidence are those of a survey
         values = {name: column for name, column in values.items() if name not in FIGURES}
-    tags = tags_of(values, f"{Path(file.source).name} {file.height_column or ''}")
+    tags = tags_of(values, Path(file.source).name, file.height_column or "")
     if file.levels_column is not None:
         tags["levels"] = columns[file.levels_column]
 

@@ -29,35 +29,43 @@ SOURCES = "sources"  # of Overture
 VARIANCE = "var"  # in square metres
 UPPER = "height_confidence_upper"
 FIGURES = ("confidence", "height_confidence", "height_con", VARIANCE, UPPER)  # which models give
-# What a method, a source or a file's name says of a model, and of no survey; 2000 and 3000 are Germany's codes of
-# heights by storeys and by default.
+# Data sets of estimates, by their names or a file's.
+DATA_SETS = "microsoft|msft|google.?open|open.?buildings|globfp|global.?building.?atlas|global.?ml.?building"
+# What a method or a source says of a model, and of no survey; 2000 and 3000 are Germany's codes of heights by storeys
+# and by default.
 MODEL = re.compile(
-    "estim|predict|infer|imput|guess|default|assum|schätz|schaetz|geschat|推定|neural|machine|deep.?learn|regress|random.?forest|xgboost|sentinel|ghs|wsf|"
-    "microsoft|msft|google|open.?buildings|globfp|global.?building.?atlas|^(?:ml|ai|modell?(?:ed)?|[23]000(?:\\.0)?)$|^doi:",
+    "estim|predict|infer|imput|guess|default|assum|schätz|schaetz|geschat|推定|neural|machine|deep.?learn|regress|"
+    "random.?forest|xgboost|sentinel|ghs|wsf|google|^(?:ml|ai|modell?(?:ed)?|[23]000(?:\\.0)?)$|^doi:|"
+    + DATA_SETS,
     re.IGNORECASE,
 )
 MOST_OF_NORMAL = 2.33  # standard deviations below which 99 % of a normal distribution end
 
 
 def with_estimates(
-    tags: dict[str, np.ndarray], values: Mapping[str, np.ndarray], file_name: str = ""
+    tags: dict[str, np.ndarray],
+    values: Mapping[str, np.ndarray],
+    file_name: str = "",
+    height_column: str = "",
 ) -> dict[str, np.ndarray]:
     """Return tags with ``estimated_to_m`` if any height is estimated: how high each may truly be, as far as it says.
 
     What first says where a height is from decides, row by row: its method, its source, a figure that models give, the
-    name of the file. Without such a word it is measured, or said, and ``estimated_to_m`` is None; it is 0 where a model
-    says nothing of its errors.
+    name of the column or of the file. Without such a word it is measured, or said, and ``estimated_to_m`` is None; it
+    is 0 where a model says nothing of its errors.
 
     Args:
       tags: ``[N]`` each, as of `columns.tags_of`.
       values: ``[N]`` columns by plain name, without figures of a publisher whose heights are measured.
-      file_name: of a table.
+      file_name, height_column: of a table.
     """
     num = len(next(iter(values.values()), ()))
     words = np.full(num, None, object)
-    for origin in (*_origins(values), np.full(num, file_name, object)):
+    for origin in _origins(values):
         words = np.where(is_given(words), words, origin)
     is_estimated = pd.Series(words, dtype=str).str.strip().str.contains(MODEL).to_numpy(bool)
+    if MODEL.search(height_column) or re.search(DATA_SETS, file_name, re.IGNORECASE):
+        is_estimated = is_estimated | ~is_given(words)
     if not is_estimated.any():
         return tags
     height_m, variance, upper_m = (

@@ -123,6 +123,9 @@ def test_a_file_that_is_called_by_the_name_of_a_model_holds_estimates(tmp_path):
     assert city.buildings.origin.tolist() == [HeightOrigin.ESTIMATED]
     city = city_of(tmp_path / "3D-GloBFP_lidar.shp", {"height_sou": "lidar"})
     assert city.buildings.origin.tolist() == [HeightOrigin.HEIGHT]  # its row says it
+    for name in ("default.shp", "from_google_earth.shp", "estimated_cost.shp"):
+        city = city_of(tmp_path / name, {"id": 1})
+        assert city.buildings.origin.tolist() == [HeightOrigin.HEIGHT], name
 
 
 def test_each_row_says_for_itself_how_its_height_is_known(tmp_path):
