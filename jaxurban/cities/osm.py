@@ -37,11 +37,13 @@ LOW_BARRIERS = {
 }
 # Values of keys of which others do not stand; what is water says which bridges cross it.
 SOME = {key: {*rules, *WATERS.get(key, ())} for key, rules in BY_VALUE.items()}
-# Of points and lines the names of grounds, places and low things are left out: there are many.
-THIN: dict[str, set[str]] = {}
+# Of points and lines the names of grounds, places and low things are left out: there are many. Lines are what a cut
+# extract has of areas.
+OF_LINES: dict[str, set[str]] = {}
+OF_POINTS: dict[str, set[str]] = {}
 for key, rules in BY_VALUE.items():
-    of_areas = {value for value, name in rules.items() if name in ALONE or OF_AREAS in name}
-    THIN[key] = SOME[key] - of_areas
+    OF_LINES[key] = SOME[key] - {value for value, name in rules.items() if name in ALONE}
+    OF_POINTS[key] = OF_LINES[key] - {value for value, name in rules.items() if OF_AREAS in name}
 METHODS = ("source:height", "height:source")  # which say how a height is known
 OF_ALL = ("height", "est_height", "location", "level", "layer", *METHODS)
 OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
@@ -73,7 +75,7 @@ KEYS = [
 MAY_STAND = KeyFilter(*KEYS)
 MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type")
 MAY_STAND_OR_TYPE.enable_for(osmium.osm.RELATION)
-POINTS = KeyFilter(*(key for key in KEYS if key != "amenity" and THIN.get(key, True)))
+POINTS = KeyFilter(*(key for key in KEYS if key != "amenity" and OF_POINTS.get(key, True)))
 POINTS.enable_for(osmium.osm.NODE)
 LAMPS = KeyFilter("highway", "amenity")  # of nodes
 NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
@@ -153,7 +155,7 @@ class _Objects:
             if kind == "r":
                 if not self._keep_relation(item, tags):
                     continue
-            elif not _may_stand(tags, is_thin=kind == "n"):
+            elif not _may_stand(tags, OF_POINTS if kind == "n" else SOME):
                 continue
             elif kind == "n":
                 self.shapes[key] = TO_WKB.create_point(item)
@@ -164,7 +166,8 @@ class _Objects:
     def node(self, lamp: Any) -> None:
         """Keep what may be a lamp, or a stand of hunters, for which pyosmium calls this."""
         get = lamp.tags.get
-        if _is_some("highway", get("highway", "")) or _is_some("amenity", get("amenity", ""), True):
+        is_lamp = _words_of(get("highway", "")) & SOME["highway"]
+        if is_lamp or _words_of(get("amenity", "")) & OF_POINTS["amenity"]:
             self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
             self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
 
@@ -172,7 +175,7 @@ class _Objects:
         """Keep the line of a way that is asked for, and gantries, for which pyosmium calls this too."""
         if way.id in self.ids:
             self._keep_line(way)
-        if _is_some("highway", way.tags.get("highway", "")):
+        if _words_of(way.tags.get("highway", "")) & SOME["highway"]:
             self._keep_way(way)
 
     def _keep_way(self, way: Any) -> None:
@@ -181,7 +184,7 @@ class _Objects:
         if key in self.areas:
             return
         tags = _tags_of(way.tags)
-        if _may_stand(tags, is_thin=True):
+        if _may_stand(tags, OF_LINES):
             self.tags[key] = tags
             self.ways_of[key] = [way.id]
             self._keep_line(way)
@@ -314,21 +317,20 @@ def _all_of(items: Any) -> Iterator[Any]:
     return islice(items, len(items))
 
 
-def _may_stand(tags: Tags, is_thin: bool = False) -> bool:
-    """Return whether an object with these tags (`_tags_of`) may stand, or is water or ground."""
+def _may_stand(tags: Tags, some: dict[str, set[str]] = SOME) -> bool:
+    """Return whether an object with these tags (`_tags_of`) may stand, of some keys by their values."""
     if not tags.keys().isdisjoint(SURE) or tags.get("barrier", "kerb") not in LOW_BARRIERS:
         return True
-    for key in SOME.keys() & tags.keys():
-        if _is_some(key, tags[key], is_thin):
+    for key in some.keys() & tags.keys():
+        if _words_of(tags[key]) & some[key]:
             return True
     return tags.get("layer", "0").lstrip(" +") > "0" and ("highway" in tags or "railway" in tags)
 
 
 @lru_cache(maxsize=2**12)
-def _is_some(key: str, text: str, is_thin: bool = False) -> bool:
-    """Return whether a value of a key, or one of a list with semicolons, is one of `SOME`, in any case."""
-    some = (THIN if is_thin else SOME)[key]
-    return any(word.strip().lower() in some for word in text.split(";"))
+def _words_of(text: str) -> frozenset[str]:
+    """Return the words of a value, one or a list with semicolons, in small letters."""
+    return frozenset(word.strip().lower() for word in text.split(";"))
 
 
 def _each_side_once(line: shapely.Geometry) -> shapely.Geometry:

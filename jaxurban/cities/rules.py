@@ -201,7 +201,7 @@ THINGS: dict[str, Gives] = {
     "aeroway of lone things: hangar terminal": BUILDING,
     "railway of lone things: engine_shed roundhouse signal_box workshop": BUILDING,
     "leisure of lone things: sports_hall": BUILDING,
-    "leisure of lone things: stadium grandstand arena": LARGE,
+    "leisure of lone things: stadium grandstand arena": unknown(150.0, 100.0, LARGE.source),
     "leisure of lone things: water_park water_slide high_ropes_course adventure_park": UNLISTED,
     "leisure of lone things: bleachers bandstand bird_hide wildlife_hide": SHED,
     "military of lone things: barracks bunker checkpoint": HULL,

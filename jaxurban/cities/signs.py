@@ -60,7 +60,7 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
         "points": ~is_way,
         "areas": is_area,
         "lone things": has_names,
-        "lone areas": is_area & has_names,
+        "lone areas": is_way & has_names,  # a line is what an extract has of an outline
         "low": is_low,
         "pond": is_area & outlines.says("natural", ["water"]),
         "form of the land, or a waterfall": is_form,

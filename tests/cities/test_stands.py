@@ -13,7 +13,7 @@ from jaxurban.cities.osm import read_osm
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.rules import BY_VALUE, KINDS, OF_AREAS, RULES
 from jaxurban.world.footprints import HeightOrigin
-from tests.made_files import line, node, osm
+from tests.made_files import line, node, osm, way
 
 UTM = "EPSG:32618"
 AREA = box(0, 0, 10, 10)
@@ -555,6 +555,22 @@ def test_what_is_no_building_by_its_tag_stands_by_its_height_and_by_other_tags()
     assert structures.height_m.tolist() == [30]
     _, structures, _ = stand((AREA, {"building": "no", "leisure": "stadium"}))
     assert structures.named.tolist() == ["leisure=stadium"]
+
+
+def test_a_stadium_that_is_a_point_keeps_flights_farther_away_than_a_lamp():
+    _, structures, _ = stand((PLACE, {"building": "", "leisure": "stadium"}))
+    x_min, _, x_max, _ = structures.polygons[0].bounds
+    assert x_max - x_min == pytest.approx(200.0, rel=1e-3)
+
+
+def test_an_extract_that_cuts_the_outline_of_a_lone_theatre_leaves_its_walls_unknown(tmp_path):
+    corners = node(1, 8.5, 47.3), node(2, 8.501, 47.3)  # and not the third
+    (tmp_path / "city.osm").write_text(osm(*corners, way(1, [1, 2, 3, 1], amenity="theatre")))
+    outlines = read_osm(tmp_path / "city.osm")
+    assert [each.geom_type for each in outlines.polygons] == ["LineString"]
+    structures = to_buildings(ju.Buildings("city.osm"), outlines, UTM)[1]
+    assert structures.named.tolist() == ["amenity=theatre"]
+    assert structures.upper_m.tolist() == [100.0]
 
 
 @pytest.mark.parametrize("artwork", [{"artwork_type": "kinetic"}, {}])
