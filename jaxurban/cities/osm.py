@@ -51,7 +51,7 @@ OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
     *("building:levels:underground", "min_height", "building:min_level", "parking"),
     *("man_made", "tower:type", "bridge:support", "aerialway", "attraction", "roller_coaster"),
 )
-OF_LAMPS = ("highway", "amenity", "indoor", *OF_ALL)
+OF_LAMPS = ("highway", "lamp_mount", "amenity", "indoor", *OF_ALL)
 OF_TREES = ("natural", "diameter_crown", *OF_ALL)
 TAGS = {
     *(*OF_BUILDINGS, *OF_LAMPS, *OF_TREES, *MAYBE, *SOME, "parking:levels", "lanes", "tunnel"),

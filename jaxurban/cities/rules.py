@@ -155,6 +155,7 @@ THINGS: dict[str, Gives] = {
     "natural: cliff": unknown(50.0),
     "landuse: forest": WOOD,
     "highway: street_lamp": LAMP,
+    "lamp_mount: high_mast": UNLISTED,
     "highway: gantry toll_gantry": GANTRY,
     "highway of points: gantry toll_gantry": Kind("canopy", 6.0, 20.0, 15.0),  # from side to side
     "highway of lone things: elevator": SHED,

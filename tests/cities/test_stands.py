@@ -557,6 +557,14 @@ def test_what_is_no_building_by_its_tag_stands_by_its_height_and_by_other_tags()
     assert structures.named.tolist() == ["leisure=stadium"]
 
 
+def test_a_lamp_on_a_high_mast_may_reach_higher_than_one_on_a_pole(tmp_path):
+    mounts = [{"lamp_mount": "high_mast"}, {}]
+    lamps = [node(i, 8.5 + i / 100, 47.3, highway="street_lamp", **mounts[i]) for i in (0, 1)]
+    (tmp_path / "city.osm").write_text(osm(*lamps))
+    structures = to_buildings(ju.Buildings("city.osm"), read_osm(tmp_path / "city.osm"), UTM)[1]
+    assert structures.upper_m.tolist() == [50, 15]
+
+
 def test_a_stadium_that_is_a_point_keeps_flights_farther_away_than_a_lamp():
     _, structures, _ = stand((PLACE, {"building": "", "leisure": "stadium"}))
     x_min, _, x_max, _ = structures.polygons[0].bounds
