@@ -444,21 +444,34 @@ def _podiums(
     is_podium = np.zeros(len(podiums), bool)
     hangs = buildings.min_height_m > 0
     for owner in np.unique(outline[is_replaced[outline] & hangs[part]]):
-        own = part[outline == owner]
-        hanging = own[hangs[own]]
-        standing = shapely.union_all(buildings.polygons[own[~hangs[own]]])
-        below = shapely.intersection(buildings.polygons[hanging], buildings.polygons[owner])
-        bare = shapely.difference(below, standing)
-        is_wide = shapely.area(bare) > PODIUM_M2
-        hanging = hanging[is_wide]
-        # Without a part over bare ground the owner itself, which is no higher than itself.
-        lowest = hanging[np.argmin(buildings.min_height_m[hanging])] if len(hanging) else owner
+        bare, lowest = _below_hanging(buildings, owner, part[outline == owner])
         if buildings.min_height_m[lowest] > buildings.min_height_m[owner]:
             is_podium[owner] = True
-            podiums.polygons[owner] = polygonal(shapely.union_all(bare[is_wide]))
+            podiums.polygons[owner] = polygonal(bare)
             podiums.height_m[owner] = buildings.min_height_m[lowest]
             podiums.origin[owner] = buildings.origin[lowest]
     return podiums, is_podium
+
+
+def _below_hanging(
+    buildings: Footprints, owner: int, own: np.ndarray
+) -> tuple[shapely.Geometry, int]:
+    """Return where an outline's parts hang and none stands, and which of them is lowest there, else the outline itself.
+
+    Args:
+      buildings: outlines and parts.
+      owner: index of the outline.
+      own: indices of its parts.
+    """
+    hangs = buildings.min_height_m[own] > 0
+    standing = shapely.union_all(buildings.polygons[own[~hangs]])
+    hanging = own[hangs]
+    below = shapely.intersection(buildings.polygons[hanging], buildings.polygons[owner])
+    bare = shapely.difference(below, standing)
+    is_wide = shapely.area(bare) > PODIUM_M2
+    hanging = hanging[is_wide]
+    lowest = hanging[np.argmin(buildings.min_height_m[hanging])] if len(hanging) else owner
+    return shapely.union_all(bare[is_wide]), lowest
 
 
 def _with_outline_heights(buildings: Footprints, parts: Parts) -> tuple[Footprints, ReadIssues]:

@@ -42,14 +42,12 @@ def height_guesses(
     if buildings is None:
         return ()
     inside = buildings.inside(bounds_m)
-    names = [*CLASSES, *PART_CLASSES]
-    medians = [f"{name} {learned[name]}" for name in names if name in learned]
-    default = f"by the median of their class: {'; '.join(medians)}"
-    if file.default_height_m is not None:
-        default = f"by the default of {file.default_height_m:g} m"
-    numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M, "default": default}
     counts = {words: num_of(inside.origin == origin) for origin, words in GUESSED_BY.items()}
     num_estimated = counts.pop(GUESSED_BY[HeightOrigin.ESTIMATED])
+    numbers = vars(file) | {
+        "layer_clearance_m": LAYER_CLEARANCE_M,
+        "default": _default_said(learned, file),
+    }
     kinds = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
     num = max(len(inside), 1)
     guesses = guessed(
@@ -60,14 +58,25 @@ def height_guesses(
     )
     if file.highest_m is not None:
         guesses += guessed(GuessKind.HIGHEST_SAID, highest_m=str(file.highest_m))
-    high = inside.take(inside.height_m > HIGHEST_M)
-    if len(high):
-        lon, lat = lonlat_boxes(high.polygons, crs)[0, :2].tolist()
-        height_m = float(high.height_m[0])
-        guesses += guessed(
-            GuessKind.HIGH_ROOFS, number=len(high), place=(lon, lat), height_m=height_m
-        )
-    return guesses
+    return guesses + _high_roofs(inside.take(inside.height_m > HIGHEST_M), crs)
+
+
+def _default_said(learned: Mapping[str, Learned], file: settings.Buildings) -> str:
+    """Return by what a height is guessed of which a file says nothing, in words."""
+    if file.default_height_m is not None:
+        return f"by the default of {file.default_height_m:g} m"
+    names = [*CLASSES, *PART_CLASSES]
+    medians = [f"{name} {learned[name]}" for name in names if name in learned]
+    return f"by the median of their class: {'; '.join(medians)}"
+
+
+def _high_roofs(high: Footprints, crs: str) -> Guesses:
+    """Return the guess on buildings above `HIGHEST_M`, with the place of the first, empty without any."""
+    if not len(high):
+        return ()
+    lon, lat = lonlat_boxes(high.polygons, crs)[0, :2].tolist()
+    height_m = float(high.height_m[0])
+    return guessed(GuessKind.HIGH_ROOFS, number=len(high), place=(lon, lat), height_m=height_m)
 
 
 def structure_guesses(structures: Footprints | None, bounds_m: Bounds) -> Guesses:

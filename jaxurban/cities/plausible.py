@@ -163,6 +163,17 @@ def plants_guesses(name: str, plants: Raster, crs: str, box_m: Bounds) -> Guesse
     return guessed(GuessKind.WITHOUT_PLANTS, share, file=name, limit_m=WOOD.limit_m)
 
 
+def _stated_heights_m(buildings: Footprints) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return heights that a file states, of unreadable ones inf, and x and y, ``[N]`` each; none if it states few."""
+    is_lost = buildings.origin == HeightOrigin.UNREADABLE
+    is_stated = ~buildings.is_guessed | is_lost | (buildings.origin == HeightOrigin.ESTIMATED)
+    if is_stated.sum() < LEAST_STATED * len(is_stated):
+        is_stated[:] = False
+    height_m = np.where(is_lost, np.inf, buildings.height_m)[is_stated]
+    x_m, y_m = shapely.get_coordinates(shapely.centroid(buildings.polygons[is_stated])).T
+    return height_m, x_m, y_m
+
+
 def check_are_heights(
     name: str,
     stands: Footprints | Raster | None,
@@ -184,12 +195,7 @@ def check_are_heights(
       terrain: elevation of the ground; None where it is not known.
     """
     if isinstance(stands, Footprints):
-        is_lost = stands.origin == HeightOrigin.UNREADABLE
-        is_stated = ~stands.is_guessed | is_lost | (stands.origin == HeightOrigin.ESTIMATED)
-        height_m = np.where(is_lost, np.inf, stands.height_m)[is_stated]
-        if len(height_m) < LEAST_STATED * len(is_stated):
-            return
-        x_m, y_m = shapely.get_coordinates(shapely.centroid(stands.polygons[is_stated])).T
+        height_m, x_m, y_m = _stated_heights_m(stands)
     else:
         assert stands is not None
         grid = covering_grid(extent_m, HOUSE_M, crs)
