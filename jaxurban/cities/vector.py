@@ -31,7 +31,7 @@ from jaxurban.io.issues import ReadIssue
 from jaxurban.io.sniff import DATABASE, HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
 from jaxurban.io.tables import check_rows
 from jaxurban.world.extent import extent_of, meets
-from jaxurban.world.grid import MOST_OF_CRS, OPENS_FILE, WGS84, check_on_earth, known_crs
+from jaxurban.world.grid import MOST_OF_CRS, OPENS_FILE, WGS84, Bounds, check_on_earth, known_crs
 
 INDEXED_SUFFIXES = (
     ".gpkg",
@@ -463,38 +463,44 @@ def read_vector(
         frame = pd.concat([frame, *_read(beside, BUILDINGS)], ignore_index=True)
     box = None if near is None else near.box_in(frame.crs.to_wkt())
     if box is not None:
-        # All that touch the box around those that touch the region: so every outline comes with all its parts, and
-        # every part with its outline, however large they are.
-        boxes = frame.bounds.to_numpy()
-        near_box = extent_of(boxes[meets(boxes, box)])
-        # What has no shape may stand anywhere.
-        frame = frame[meets(boxes, near_box) | frame.geometry.isna()]
-
-    # Polygons, also those in collections, and places where a geometry is missing.
-    shapes = without_collections(np.array(frame.geometry, object))
-    is_kept = np.isin(shapely.get_type_id(shapes), POLYGONS) | shapely.is_missing(shapes)
-
-    # And what is named.
+        frame = _with_neighbours(frame, box)
     columns = {name: _values(frame[name]) for name in frame if is_of_buildings(name, named)}
-    tags = tags_of(columns) if file is None else tags_of_table(columns, file, frame.crs)
     outlines = Outlines(
-        polygons=shapes,
-        tags=tags,
+        polygons=without_collections(np.array(frame.geometry, object)),
+        tags=tags_of(columns) if file is None else tags_of_table(columns, file, frame.crs),
         crs=frame.crs.to_wkt(),
         boxes=tuple(tuple(box) for box in facts.get("boxes", ())),
         issues={ReadIssue(name): count for name, count in facts.get("issues", {}).items()},
         attribution=facts.get("credit", ""),
         is_part=box is not None,
     )
-    for key in tags.keys() & {"building", "part", "height", *KINDS}:
-        is_kept |= is_given(tags[key])
+    is_kept = _what_may_stand(outlines)
+    kept = outlines.take(is_kept)
+    is_ring = shapely.is_ring(kept.polygons)
+    kept.polygons[is_ring] = [shapely.Polygon(ring) for ring in kept.polygons[is_ring]]
+    return replace(kept, issues={**outlines.issues, ReadIssue.NON_POLYGONS: int(np.sum(~is_kept))})
+
+
+def _with_neighbours(frame: gpd.GeoDataFrame, box: Bounds) -> gpd.GeoDataFrame:
+    """Return the features that touch the box around those that touch a region's, and those without a shape.
+
+    So every outline comes with all its parts, and every part with its outline, however large they are; what has no
+    shape may stand anywhere.
+    """
+    boxes = frame.bounds.to_numpy()
+    near_box = extent_of(boxes[meets(boxes, box)])
+    return frame[meets(boxes, near_box) | frame.geometry.isna()]
+
+
+def _what_may_stand(outlines: Outlines) -> np.ndarray:
+    """Return ``[N]`` which features are areas or lack a shape, and which points and lines their columns name."""
+    shapes = outlines.polygons
+    may_stand = np.isin(shapely.get_type_id(shapes), POLYGONS) | shapely.is_missing(shapes)
+    for key in outlines.tags.keys() & {"building", "part", "height", *KINDS}:
+        may_stand |= is_given(outlines.tags[key])
     for key, values in (*BY_VALUE.items(), *IN_WORDS.items()):
-        is_kept |= outlines.says(key, values)
-    is_kept |= is_water(outlines) | is_raised(outlines)
-    is_ring = is_kept & shapely.is_ring(shapes)
-    shapes[is_ring] = [shapely.Polygon(ring) for ring in shapes[is_ring]]
-    issues = {**outlines.issues, ReadIssue.NON_POLYGONS: int(np.sum(~is_kept))}
-    return replace(outlines.take(is_kept), issues=issues)
+        may_stand |= outlines.says(key, values)
+    return may_stand | is_water(outlines) | is_raised(outlines)
 
 
 def without_collections(shapes: np.ndarray) -> np.ndarray:
