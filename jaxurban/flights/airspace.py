@@ -60,7 +60,7 @@ UNIT_NAME = re.compile(
     r"^(uom|units?)|(uom|units?|datum)$|(vertical|altitude|height|limit|lower|upper).*ref"
 )
 UNIT_READ = re.compile("m|met(re|er)s?|agl|sfc|gnd|ground|surface|abovegroundlevel")
-BUFFER_NAME = re.compile("buffer|margin|offset|expand|setback")
+BUFFER_NAME = re.compile("buffer|puffer|margin|offset|expand|setback|safetydistance")
 ROLE = "no-fly"
 GEOZONE_FORMATS = (".geojson", ".geojsonl")  # of `sniff`
 GEOZONE = re.compile(

@@ -43,7 +43,8 @@ class Zone:
         ``"other_limits"`` of properties that are not read, or ``"not_in_force"`` at the time of a flight.
 
     Raises:
-      InputError: a closed one that is no polygon or has no area, or a floor above the ceiling or not a number.
+      InputError: a closed one that is no polygon or has no area, a floor above the ceiling or not a number, a ceiling
+        that is not above the ground.
     """
 
     name: str
@@ -69,10 +70,10 @@ class Zone:
             raise InputError(
                 f"the outline of the no-fly zone {self.label} crosses itself: see shapely.make_valid"
             )
-        if not self.floor_m <= self.ceiling_m:
+        if not (self.floor_m <= self.ceiling_m and self.ceiling_m > 0):
             raise InputError(
                 f"the no-fly zone {self.label} has floor {self.floor_m:g} m and ceiling {self.ceiling_m:g} m: give two "
-                "numbers of metres above ground, the floor not above the ceiling"
+                "numbers of metres above ground, the floor not above the ceiling, the ceiling above 0"
             )
 
     @property

@@ -51,6 +51,12 @@ def test_a_zone_closes_from_its_floor_to_its_ceiling_both_included(maps):
         assert counts == [0, 25, 0, 0]
 
 
+def test_a_zone_that_ends_below_the_ground_is_refused(maps):
+    for ceiling_m in (-9999.0, 0.0):
+        with pytest.raises(ju.InputError, match="the ceiling above 0"):
+            zone_of_cells(maps, 40, 30, 5, ceiling_m=ceiling_m)
+
+
 def test_between_two_altitudes_a_bound_must_hold_at_both_or_above_a_wall(maps):
     bound = Bound("lidar", ">=", 0.4)
     low, high = (maps.m("lidar", z_m) >= 0.4 for z_m in (20.0, 60.0))
