@@ -131,11 +131,18 @@ def _read(
                 frames = [
                     _one_layer(plain, kind, name, role, near if is_by_box else None, named or ())
                 ]
+            if kind == ".geojsonl" and not every_layer:
+                _check_lines(plain, sum(map(len, frames)))
 
     frames = [frame for frame in frames if isinstance(frame, gpd.GeoDataFrame)]
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
+        twice = frame.columns[frame.columns.duplicated()]
+        if len(twice):
+            raise InputError(
+                f"{name} has several columns called {twice[0]!r}: rename or leave out all but one"
+            )
         _place(name, frame, kind, crs)
     return frames
 
@@ -325,6 +332,17 @@ def _check_json(path: Path) -> None:
                 break
     if len(rest) > MOST_OF_WORD:
         raise ValueError(f"it has a CRS without an end, or of more than {MOST_OF_CRS:,} characters")
+
+
+def _check_lines(path: Path, num_read: int) -> None:
+    """Raise ValueError where a sequence of GeoJSON (RFC 8142, or a feature a line) holds more than was read of it."""
+    marks, lines = 0, 0
+    with path.open("rb") as file:
+        for line in file:
+            marks += line.startswith(b"\x1e")
+            lines += not line.isspace()
+    if (marks or lines) > num_read:
+        raise ValueError("features of it cannot be read")
 
 
 def _check_refers(pattern: re.Pattern[str], text: str) -> None:

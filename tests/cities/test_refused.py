@@ -1,5 +1,6 @@
 """What no reader takes: one sentence that names the file and says what to do, and no request to a server."""
 
+import json
 import os
 import socket
 from functools import partial
@@ -9,6 +10,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
+import shapely
 
 import jaxurban as ju
 from jaxurban.cities.census import read_blocks, read_districts
@@ -129,6 +131,13 @@ BROKEN_OSM = (
 )
 
 
+RING = [[8.5, 47.3], [8.501, 47.3], [8.501, 47.301], [8.5, 47.3]]
+SHAPE = {"type": "Polygon", "coordinates": [RING]}
+ROW = json.dumps({"type": "Feature", "properties": {"height": 40}, "geometry": SHAPE})
+ROWS = f"{ROW}\n{ROW}\n".encode()
+TWICE = f'WKT,height,height\n"{shapely.Polygon(RING).wkt}",40,9\n'.encode()
+
+
 @pytest.mark.parametrize(
     ("read", "name", "content", "sentence"),
     [
@@ -151,6 +160,8 @@ BROKEN_OSM = (
         (read_layers, "blocks.tab", b"!table", UNREAD),
         (read_layers, "blocks.gdb", Path.mkdir, "as a vector file .*damaged"),
         (read_layers, "a.shp", of([SQUARE], crs=None), "declares no CRS"),
+        (buildings, "twice.csv", TWICE, "several columns called 'height': rename"),
+        (buildings, "cut.geojsonl", ROWS[:-60], "cut short.*give a whole one"),
         (buildings, "trees.geojson", of([SQUARE.centroid], crs=WGS84), "holds no building"),
         (buildings, "city.dwg", b"", r"'\.dwg'.*\.pbf.*\.gpkg.*\.tif"),
         (buildings, "folder", Path.mkdir, "holds no object of CityGML or CityJSON and no outlines"),
