@@ -110,8 +110,9 @@ SCHEMAS: dict[str, Unit] = {
     # swissBUILDINGS3D: swisstopo.admin.ch, its object catalogue.
     "gesamthoehe dach_max": "m",
 }
-# By their own names.
-SCHEMAS |= {f"height{mark}{unit}": unit for mark in ("", "_") for unit in UNITS_M}
+# By their own names, which are no publisher's.
+BY_UNIT: dict[str, Unit] = {f"height{mark}{unit}": unit for mark in ("", "_") for unit in UNITS_M}
+SCHEMAS |= BY_UNIT
 GROUNDS = {"b3_h_dak_max": "b3_h_maaiveld", "topheight": "baseheight"}
 # Overture Maps, Microsoft, GlobalBuildingAtlas and USA Structures call theirs ``height``, in metres; Google's outlines
 # have none.
@@ -204,7 +205,7 @@ def tags_of_table(
         )
     values = _opened({_plain(name): column for name, column in columns.items()})
     schema = next((names for names in SCHEMAS if set(names.split()) <= values.keys()), "")
-    if schema:  # whose figures of confidence are those of a survey
+    if schema and schema not in BY_UNIT:  # whose figures of confidence are those of a survey
         values = {name: column for name, column in values.items() if name not in FIGURES}
     tags = tags_of(values, Path(file.source).name, file.height_column or "")
     if file.levels_column is not None:

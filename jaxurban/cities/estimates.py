@@ -35,8 +35,8 @@ DATA_SETS = "microsoft|msft|google.?open|open.?buildings|globfp|global.?building
 # and by default.
 MODEL = re.compile(
     "estim|predict|infer|imput|guess|default|assum|schätz|schaetz|geschat|推定|neural|machine|deep.?learn|regress|"
-    "random.?forest|xgboost|sentinel|ghs|wsf|google|^(?:ml|ai|modell?(?:ed)?|[23]000(?:\\.0)?)$|^doi:|"
-    + DATA_SETS,
+    "random.?forest|xgboost|sentinel|ghs|wsf|google|simulat|interpol|u-?net|\\b(?:ml|ai|cnn)\\b|^doi:|"
+    "^(?:modell?(?:ed)?|[23]000(?:\\.0)?)$|" + DATA_SETS,
     re.IGNORECASE,
 )
 MOST_OF_NORMAL = 2.33  # standard deviations below which 99 % of a normal distribution end

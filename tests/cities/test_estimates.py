@@ -118,6 +118,13 @@ def test_the_confidence_of_a_survey_makes_no_estimates(tmp_path):
     assert city.buildings.origin.tolist() == [HeightOrigin.HEIGHT]
 
 
+def test_a_confidence_beside_a_height_that_names_its_unit_makes_it_an_estimate(tmp_path):
+    about = {"height_m": [22.4], "height_confidence_upper": [95.0]}
+    write_vector(tmp_path / "a.gpkg", [SQUARE], WGS84, **about)
+    city = read_buildings(ju.Buildings(tmp_path / "a.gpkg"), UTM)
+    assert city.buildings.origin.tolist() == [HeightOrigin.ESTIMATED]
+
+
 def test_a_file_that_is_called_by_the_name_of_a_model_holds_estimates(tmp_path):
     city = city_of(tmp_path / "3D-GloBFP_Europe.shp", {"id": 1})
     assert city.buildings.origin.tolist() == [HeightOrigin.ESTIMATED]
