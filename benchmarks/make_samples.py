@@ -22,7 +22,7 @@ from skyfield.api import load
 from jaxurban.cities.base_map import read_base_map
 from jaxurban.cities.census import read_blocks, read_districts
 from jaxurban.cities.land_cover import projected
-from jaxurban.cities.osm import OSM_CREDIT, header_box, read_osm
+from jaxurban.cities.osm import OF_BUILDINGS, OSM_CREDIT, header_box, read_osm
 from jaxurban.cities.outlines import Outlines, joined_outlines
 from jaxurban.cities.stands import is_water, what_stands
 from jaxurban.io.geoparquet import write_geoparquet
@@ -68,10 +68,7 @@ TAG_OF = {  # of the names of `Outlines` that differ from OpenStreetMap's
     "bridge_structure": "bridge:structure",
     "bridge_movable": "bridge:movable",
 }
-NOT_OF_BUILDINGS = {
-    "amenity",
-    "tourism",
-}  # what stands by its key `building` stands the same without them
+NOT_OF_PARTS = {"amenity", "tourism"}  # which say nothing of the heights of parts
 
 # Source: European GNSS Service Centre, Orbital and technical parameters (www.gsc-europa.eu), reference constellation:
 # Walker 24/3/1, 17 orbits in 10 sidereal days. Its nodes count from an origin that does not turn, as its rates show
@@ -121,8 +118,13 @@ def make_lower_manhattan(data: Path, home: Path) -> None:
     issues = {issue.value: count for issue, count in outlines.issues.items() if count}
     facts = {"credit": OSM_CREDIT, "licence": ODBL, "boxes": outlines.boxes, "issues": issues}
     # Not rounded: its maps are those of the extract itself.
-    names = [name for name in outlines.tags if name not in NOT_OF_BUILDINGS]
-    write_geoparquet(home / BUILDINGS_FILE, _frame(outlines.take(is_kept), names), facts)
+    kept = outlines.take(is_kept)
+    is_building = pd.notna(kept.column("building"))
+    for name in kept.tags:
+        if TAG_OF.get(name, name) not in OF_BUILDINGS:
+            kept.tags[name][is_building] = None  # from which their heights do not follow
+    names = [name for name in kept.tags if name not in NOT_OF_PARTS]
+    write_geoparquet(home / BUILDINGS_FILE, _frame(kept, names), facts)
 
     # What else stands, with all tags that say so, and the water that bridges cross.
     rest = outlines.take(~is_kept)

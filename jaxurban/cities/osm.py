@@ -37,13 +37,13 @@ LOW_BARRIERS = {
 }
 # Values of keys of which others do not stand; what is water says which bridges cross it.
 SOME = {key: {*rules, *WATERS.get(key, ())} for key, rules in BY_VALUE.items()}
-# Of points and lines the names of grounds, places and low things are left out: there are many. Lines are what a cut
-# extract has of areas.
-OF_LINES: dict[str, set[str]] = {}
+# Of points, lines and what is cut the names of grounds, places and low things are left out: there are many.
+OF_OUTLINES: dict[str, set[str]] = {}
 OF_POINTS: dict[str, set[str]] = {}
 for key, rules in BY_VALUE.items():
-    OF_LINES[key] = SOME[key] - {value for value, name in rules.items() if name in ALONE}
-    OF_POINTS[key] = OF_LINES[key] - {value for value, name in rules.items() if OF_AREAS in name}
+    of_areas = {value for value, name in rules.items() if OF_AREAS in name}
+    OF_OUTLINES[key] = SOME[key] - {value for value, name in rules.items() if name in ALONE}
+    OF_POINTS[key] = OF_OUTLINES[key] - of_areas
 METHODS = ("source:height", "height:source")  # which say how a height is known
 OF_ALL = ("height", "est_height", "location", "level", "layer", *METHODS)
 OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
@@ -60,6 +60,7 @@ TAGS = {
     *("generator:source", "generator:method", "generator:type"),
     *(f"{life}:{key}" for life in NOT_BUILT for key in OF_LIFE),
 }
+CUT_DEG = 2e-5  # about 2 m, around what an extract has of an outline
 TO_WKB = osmium.geom.WKBFactory()
 Key = tuple[str, int]  # "n", "w" or "r", and an id
 Tags = dict[str, str]  # of an object
@@ -118,6 +119,7 @@ class _Objects:
       areas: what libosmium takes for areas, whether it could assemble them or not, and sites.
       closed, open_ways, missing, degenerate: ways, the first two no areas that may stand; the third lack nodes, and
         the last enclose nothing.
+      cut: what would be areas if an extract had all of them, and stands as none else.
       lines: of ways, by id.
       ways_of: the ids of the ways of what has no shape.
       of_members: what relations of the type building say of their outlines.
@@ -129,6 +131,7 @@ class _Objects:
         self.tags: dict[Key, Tags] = {}
         self.shapes: dict[Key, str] = {}
         self.areas, self.closed, self.open_ways, self.missing = (set[Key]() for _ in range(4))
+        self.cut: set[Key] = set()
         self.lines: dict[int, shapely.Geometry] = {}
         self.ways_of: dict[Key, list[int]] = {}
         self.of_members: dict[Key, Tags] = {}
@@ -179,12 +182,17 @@ class _Objects:
             self._keep_way(way)
 
     def _keep_way(self, way: Any) -> None:
-        """Keep a way that may stand and is no area."""
+        """Keep a way that may stand and is no area; what a cut extract has of an outline is one."""
         key = "w", way.id
         if key in self.areas:
             return
         tags = _tags_of(way.tags)
-        if _may_stand(tags, OF_LINES):
+        may_stand = _may_stand(tags, OF_POINTS)
+        if not may_stand and way.is_closed() and _may_stand(tags, OF_OUTLINES):
+            self._keep_line(way)
+            may_stand = key in self.missing
+            self.cut.add(key)
+        if may_stand:
             self.tags[key] = tags
             self.ways_of[key] = [way.id]
             self._keep_line(way)
@@ -201,6 +209,8 @@ class _Objects:
             return False
         key = "r", item.id
         may_stand = _may_stand(tags)
+        if of_type == "multipolygon" and not _may_stand(tags, OF_POINTS):
+            self.cut.add(key)
         # A bare one may be the outline in a relation of a building.
         if may_stand or len(item.tags) == 1:
             all_of_it = _all_of(item.members)
@@ -269,6 +279,8 @@ class _Objects:
                 area = shapely.build_area(shapely.union_all(known))
                 self.num_repaired += not area.is_empty
                 shape = shape if area.is_empty else area
+            elif key in self.cut:
+                shape = shapely.buffer(shapely.convex_hull(shape), CUT_DEG)
             if not shape.is_empty or key in self.areas:
                 built[key] = shape
         self.shapes |= zip(built, shapely.to_wkb([*built.values()], hex=True), strict=True)
@@ -299,8 +311,6 @@ class _Objects:
 
 def _tags_of(tags: Any) -> Tags:
     """Return those tags of an object that say what stands."""
-    if "building" in tags:  # with many others
-        return _named(tags, OF_BUILDINGS)
     if tags.get("natural") == "tree":  # there are many
         return _named(tags, OF_TREES)
     return {name: value for name, value in _all_of(tags) if name in TAGS}

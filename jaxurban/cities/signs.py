@@ -60,7 +60,8 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
         "points": ~is_way,
         "areas": is_area,
         "lone things": has_names,
-        "lone areas": is_way & has_names,  # a line is what an extract has of an outline
+        "lone areas": is_area & has_names,
+        "lone points": ~is_way & has_names,
         "low": is_low,
         "pond": is_area & outlines.says("natural", ["water"]),
         "form of the land, or a waterfall": is_form,
@@ -114,10 +115,12 @@ def are_lone(outlines: Outlines, is_building: np.ndarray, is_asked: np.ndarray) 
     asked, buildings = outlines.polygons[is_asked], outlines.polygons[is_building]
     index, near = shapely.STRtree(buildings).query(asked)
     shapes, buildings = asked[index], buildings[near]
+    area_m2, asked_m2 = shapely.area(buildings), shapely.area(asked)
     is_within = shapely.within(shapely.point_on_surface(shapes), buildings)
+    is_within &= area_m2 >= GROUND_SHARE * asked_m2[index]
     holds = shapely.within(shapely.point_on_surface(buildings), shapes)
-    held_m2 = np.bincount(index, shapely.area(buildings) * holds, len(asked))
-    is_ground = held_m2 > GROUND_SHARE * shapely.area(asked)
+    held_m2 = np.bincount(index, area_m2 * holds, len(asked))
+    is_ground = held_m2 > GROUND_SHARE * asked_m2
     is_ground[index[is_within]] = True
     is_lone[is_asked] = ~is_ground
     return is_lone

@@ -149,11 +149,17 @@ def _sizes(outlines: Outlines, kinds: np.ndarray, waters: np.ndarray) -> KindSiz
 
 
 def _stated(outlines: Outlines, kinds: np.ndarray, file: settings.Buildings) -> Footprints:
-    """Return structures with the heights that the file says. The blades of a turbine reach above its hub."""
+    """Return structures with the heights that the file says.
+
+    The blades of a turbine reach above its hub, by an unknown length where the file gives no diameter.
+    """
     stated, _ = estimate_heights(outlines.tags, outlines.polygons, np.zeros(len(kinds), bool), file)
-    tip_m = lengths_m(outlines, "hub") + np.nan_to_num(lengths_m(outlines, "rotor")) / 2
+    rotor_m = lengths_m(outlines, "rotor")
+    tip_m = lengths_m(outlines, "hub") + np.nan_to_num(rotor_m) / 2
     has_tip = np.isfinite(tip_m) & (kinds == TURBINE)
+    is_hub = has_tip & np.isnan(rotor_m) & ~(stated.height_m >= tip_m)
     origin = np.where(has_tip, HeightOrigin.HEIGHT, stated.origin)
+    origin = np.where(is_hub, HeightOrigin.ROUGH, origin)
     return replace(stated, height_m=np.fmax(stated.height_m, tip_m), origin=origin)
 
 
@@ -202,7 +208,10 @@ def _bound_m(others: _Others) -> np.ndarray:
     tags = others.outlines.tags
     hull_m2 = shapely.area(shapely.convex_hull(others.outlines.polygons))
     of_hulls_m = np.where(hull_m2 >= CLASSES_M2[1], np.inf, LIMIT_M)
-    of_hulls_m = limits_by_name_m(others.outlines, of_hulls_m) + tags["rise_m"]
+    of_hulls_m = limits_by_name_m(others.outlines, of_hulls_m)
+    is_building = tags["rule"] == "building without an area"  # whose other kind has a bound too
+    of_hulls_m = np.where(is_building, np.fmax(of_hulls_m, tags["kind_limit_m"]), of_hulls_m)
+    of_hulls_m += tags["rise_m"]
     of_kind_m = np.where(others.kinds == HULL, of_hulls_m, others.sizes.limit_m)
     is_open = of_kind_m < np.fmax(others.guess_m, others.likely_m)
     is_doubted = np.isin(others.stated.origin, (HeightOrigin.ROUGH, HeightOrigin.ESTIMATED))
@@ -235,11 +244,12 @@ def _underside_m(others: _Others) -> np.ndarray:
 def _shape(others: _Others, height_m: np.ndarray) -> np.ndarray:
     """Return ``[N]`` shapes: points are discs, lines are strips, crowns octagons, and what is not whole a hull.
 
-    What no table knows of barriers encloses its area or fills it, and its border is as thick as a line.
+    What no table knows of barriers and pipelines encloses its area or fills it, and its border is as thick as a line.
     """
     lines = _thin_shape(others)
     is_tree = others.names == "tree"
-    is_ring = (others.kinds == UNLISTED) & (others.outlines.texts("barrier") != "")
+    is_line = others.outlines.texts("barrier") + others.outlines.texts("pipeline") != ""
+    is_ring = (others.kinds == UNLISTED) & is_line
     is_thin = is_ring | (others.kinds == HULL) | (shapely.get_dimensions(lines) != 2)
     radius_m = _radius_m(others, height_m)
     shapes = lines.copy()

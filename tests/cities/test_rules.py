@@ -81,7 +81,8 @@ def test_every_rule_without_values_has_its_sign_and_no_two_rules_have_one_name()
     assert len(RULES) == len(ALONE) + len(THINGS) + len(BUILDINGS)
     nothing = Outlines(np.empty(0, object), {}, "EPSG:32618", (), {})
     without_values = {name for name in RULES if ": " not in name}
-    beside = {"names", "points", "areas", "lone things", "lone areas", "low", "pond", "part"}
+    shapes = {"points", "areas", "lone things", "lone areas", "lone points"}
+    beside = shapes | {"names", "low", "pond", "part"}
     assert signs_of(nothing, False).keys() - beside == without_values - {"nothing of the table"}
 
 

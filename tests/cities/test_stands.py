@@ -533,8 +533,9 @@ def test_what_holds_a_building_or_lies_in_one_is_its_ground_or_a_place_in_it(tag
 )
 def test_what_holds_a_kiosk_or_lies_over_a_cellar_stands(tags):
     kiosk = (box(2, 2, 5, 5), {"building": "kiosk"})
+    in_the_middle = (box(48, 48, 52, 52), {"building": "kiosk"})
     cellar = (box(-20, -20, 120, 120), {"building": "garage", "location": "underground"})
-    for beside in (kiosk, cellar):
+    for beside in (kiosk, in_the_middle, cellar):
         buildings, structures, _ = stand((box(0, 0, 100, 100), tags), beside)
         assert max(shapely.area(buildings.joined(structures).polygons)) >= 9_000
 
@@ -557,6 +558,27 @@ def test_what_is_no_building_by_its_tag_stands_by_its_height_and_by_other_tags()
     assert structures.named.tolist() == ["leisure=stadium"]
 
 
+def test_openstreetmap_keeps_what_else_a_building_or_what_is_none_is_called(tmp_path):
+    tags = {"building": "no", "man_made": "tower"}, {"building": "hut", "historic": "tower"}
+    things = [node(i, 8.5 + i / 100, 47.3, **about) for i, about in enumerate(tags)]
+    (tmp_path / "city.osm").write_text(osm(*things))
+    structures = to_buildings(ju.Buildings("city.osm"), read_osm(tmp_path / "city.osm"), UTM)[1]
+    assert sorted(structures.upper_m) == [60, np.inf]
+
+
+def test_a_hub_alone_does_not_say_how_high_blades_reach():
+    _, structures, _ = stand((PLACE, {"power": "generator", "height:hub": "80"}))
+    assert (structures.height_m.tolist(), structures.upper_m.tolist()) == ([80], [np.inf])
+    assert structures.is_guessed.all()
+
+
+def test_a_tram_that_is_called_a_pub_is_no_outline(tmp_path):
+    ends = [node(i, 8.5 + i / 100, 47.3) for i in range(3)]
+    ways = way(1, [0, 1, 2], amenity="pub"), way(2, [0, 1, 2, 0], amenity="pub", area="no")
+    (tmp_path / "city.osm").write_text(osm(*ends, *ways))
+    assert len(read_osm(tmp_path / "city.osm").polygons) == 0
+
+
 def test_a_lamp_on_a_high_mast_may_reach_higher_than_one_on_a_pole(tmp_path):
     mounts = [{"lamp_mount": "high_mast"}, {}]
     lamps = [node(i, 8.5 + i / 100, 47.3, highway="street_lamp", **mounts[i]) for i in (0, 1)]
@@ -575,10 +597,10 @@ def test_an_extract_that_cuts_the_outline_of_a_lone_theatre_leaves_its_walls_unk
     corners = node(1, 8.5, 47.3), node(2, 8.501, 47.3)  # and not the third
     (tmp_path / "city.osm").write_text(osm(*corners, way(1, [1, 2, 3, 1], amenity="theatre")))
     outlines = read_osm(tmp_path / "city.osm")
-    assert [each.geom_type for each in outlines.polygons] == ["LineString"]
+    assert shapely.covers(outlines.polygons[0], LineString([(8.5, 47.3), (8.501, 47.3)]))
     structures = to_buildings(ju.Buildings("city.osm"), outlines, UTM)[1]
     assert structures.named.tolist() == ["amenity=theatre"]
-    assert structures.upper_m.tolist() == [100.0]
+    assert structures.upper_m.tolist() == [np.inf]
 
 
 @pytest.mark.parametrize("artwork", [{"artwork_type": "kinetic"}, {}])
