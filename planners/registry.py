@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from jaxurban.checks import at_least, nearest_name, one_of
+from jaxurban.checks import at_least, nearest_name, one_of, values_given
 from jaxurban.errors import InputError
 from jaxurban.planners.any_angle import ptp, theta_star
 from jaxurban.planners.astar import (
@@ -153,6 +153,7 @@ def solve_many(
     heuristic: str | None = None,
     backend: Backend = "auto",
     budget_s: float = np.inf,
+    max_samples: int | None = None,
     seed: int = 0,
     num_threads: int | None = None,
     only: Sequence[int] | None = None,
@@ -178,6 +179,7 @@ def solve_many(
       planner, heuristic: names as in the registry.
       backend: see above.
       budget_s: seconds for each query.
+      max_samples: for each query, of planners that draw samples.
       seed: for each query.
       num_threads: of ``"numba"``; left out, one for every processor that this process may use.
       only: the problems to solve, by number; what is chosen depends on all of them.
@@ -204,6 +206,7 @@ def solve_many(
             heuristic=heuristic or PLANNERS[planner].default_heuristic,
             seeds=[seed] * len(some),
             budget_s=budget_s,
+            max_samples=max_samples,
         )
         return ((only[k], path) for k, path in paths)
 
@@ -214,6 +217,7 @@ def solve_many(
     num_threads = num_threads or num_cores()
     heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
     run = partial(_in_threads, problems, num_threads=num_threads)
+    samples = values_given({"max_samples": max_samples})
 
     def outcomes() -> Generator[Outcome]:
         """Yield the outcomes: first of queries that share a goal, then of all others by heuristic, or together in JAX.
@@ -244,7 +248,7 @@ def solve_many(
             return
 
         for name in dict.fromkeys(heuristics[k] for k in alone):
-            search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
+            search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed, **samples)
             yield from run([k for k in alone if heuristics[k] == name], search)
 
     return outcomes()

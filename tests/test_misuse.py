@@ -221,7 +221,8 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     (-1, "seed height_samples num_heights bootstrap routes instances"),
     (
         0,
-        "max_rounds num num_segments num_threads workers budget_iterations oversample num_rows num_cols",
+        "max_rounds num num_segments num_threads workers budget_iterations max_samples oversample num_rows "
+        "num_cols",
     ),
     (0, "beams azimuths step_s num_displaced"),
     (-1.0, "HeightStd.height HeightStd.levels HeightStd.default HeightStd.raster"),

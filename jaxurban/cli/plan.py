@@ -51,6 +51,7 @@ class SearchOptions(TypedDict):
       heuristic: lower bound of the search, else the planner's own.
       backend: what searches.
       budget_s: seconds of search, else the scenario's, else 10.
+      max_samples: of BIT*, after which it ends on any machine alike; without budget_s no seconds count then.
       seed: of sampling planners, else the scenario's, else 0.
     """
 
@@ -58,6 +59,7 @@ class SearchOptions(TypedDict):
     heuristic: str
     backend: Backend
     budget_s: float
+    max_samples: int
     seed: int
 
 

@@ -80,7 +80,7 @@ def plan_many(
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       weights, time, time_of_day: as in `plan`, for queries without such values of their own.
       objective, cost_model, constraints, preset: which map is planned on, as in `plan`.
-      planner, heuristic, budget_s, seed, snap, on_ground: of each query, as in `plan`.
+      planner, heuristic, budget_s, max_samples, seed, snap, on_ground: of each query, as in `plan`.
       refine, exposure: of a single plan only.
 
     Returns:
@@ -307,11 +307,10 @@ def _plan_batch(
             problems,
             planner=search.planner,
             heuristic=search.heuristic,
-            budget_s=search.budget_s,
-            seed=search.seed,
             backend=search.backend,
             num_threads=num_threads,
             only=unsolved,
+            **search.limits,
         )
         with closing(outcomes):
             for index, outcome in outcomes:

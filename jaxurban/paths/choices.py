@@ -41,6 +41,7 @@ class SearchChoice(TypedDict, total=False):
     heuristic: HeuristicName | None
     backend: Backend
     budget_s: float | None
+    max_samples: int | None
     seed: int | None
     snap: bool | float
     on_ground: OnGround

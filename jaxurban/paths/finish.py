@@ -91,7 +91,7 @@ def plan_on(
     # The search. An anytime planner would leave nothing of the budget to refine with.
     share = 1 - REFINING_SHARE if search.refine else 1.0
     with warn_if_slow(search.planner, search.budget_s):
-        path = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
+        path = find_path(problem, **search.limits | {"budget_s": search.budget_s * share})
 
     # Refinement, for which half of its share of the budget is left even where the search took longer.
     if search.refine and path.status.has_path:
@@ -133,7 +133,7 @@ def finish(
       search: how it was searched for, for the record.
     """
     budget_s = search.budget_s if np.isfinite(search.budget_s) else None
-    settings = deepcopy(cost_map.record) | {"budget_s": budget_s, "seed": search.seed}
+    settings = deepcopy(cost_map.record) | search.limits | {"budget_s": budget_s}
     if search.exposure:
         settings["exposure"] = dict(search.exposure)
     start, goal = ends

@@ -239,7 +239,10 @@ def plan(
       backend: ``"numba"``, ``"jax"`` for A* and BIT* in JAX, or ``"auto"``, which is Numba here;
         ``path.search.backend`` says what ran.
       budget_s: seconds that the search may take.
-      seed: for sampling planners; their budget is a time, so that one seed gives another route in each run.
+      max_samples: of BIT*: end after so many, so that the same call gives the same path on any machine; without
+        ``budget_s`` there is then no limit of seconds.
+      seed: for sampling planners; without ``max_samples`` their budget is a time, so that one seed gives another route
+        in each run.
       snap: whether a start or goal that is not free moves to the nearest free cell: True by at most 50 m, a number by
         at most that many metres (`PathSearch`).
       on_ground: plan a mission: start and goal are free only where the air is, down to the ground, so that it may take

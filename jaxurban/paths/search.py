@@ -1,12 +1,19 @@
 """PathSearch: how a path is searched for, and which budgets of exposure it keeps."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
-from jaxurban.checks import finite, typed, values_given
+from jaxurban.checks import at_least, finite, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.paths.places import snap_limit_m
-from jaxurban.planners.registry import EXACT_PLANNERS, VOLUME_PLANNERS, find_planner
+from jaxurban.planners.registry import (
+    EXACT_PLANNERS,
+    SAMPLING_PLANNERS,
+    VOLUME_PLANNERS,
+    find_planner,
+)
 from jaxurban.settings import DEFAULTS, Backend, HeuristicName, OnGround, PlannerName, Planning
 
 
@@ -17,7 +24,9 @@ class PathSearch:
     Attributes:
       planner: ``"ptp"``, ``"astar"``, ``"theta-star"`` ...
       heuristic: None: the planner's own.
-      budget_s: seconds that the search may take.
+      budget_s: seconds that the search may take; inf where samples alone end it.
+      max_samples: of a planner that draws samples: it ends after so many, so that the same call gives the same path on
+        any machine; None: no limit.
       seed: for sampling planners.
       snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell (of its level)
         that is joined to the other end, instead of failing: True by at most 50 m, a number by at most so many metres.
@@ -35,6 +44,7 @@ class PathSearch:
     planner: PlannerName
     heuristic: HeuristicName | None
     budget_s: float
+    max_samples: int | None
     seed: int
     snap: bool | float
     refine: bool
@@ -52,6 +62,7 @@ class PathSearch:
         planner: PlannerName | None = None,
         heuristic: HeuristicName | None = None,
         budget_s: float | None = None,
+        max_samples: int | None = None,
         seed: int | None = None,
         snap: bool | float = False,
         on_ground: OnGround = False,
@@ -65,18 +76,27 @@ class PathSearch:
           planning: of the maps' scenario, with its planner, budget and seed; left out, the defaults.
           is_for_volumes: whether the path may climb; then the scenario gives only the budget.
           planner: left out and not in the scenario, ``"astar"``, between levels ``"astar-volume"``.
-          heuristic, budget_s, seed, snap, on_ground, refine, exposure, backend: the attributes; None: left out.
+          heuristic, budget_s, max_samples, seed, snap, on_ground, refine, exposure, backend: the attributes; None: left
+            out. With ``max_samples`` alone the search has no limit of seconds.
 
         Raises:
           InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of
-            snapping, refinement of a path that may climb, or budgets of exposure that are no numbers, of a planner off
-            the grid or with refinement.
+            snapping, samples of a planner that draws none, refinement of a path that may climb, or budgets of exposure
+            that are no numbers, of a planner off the grid or with refinement.
         """
         # Planner, budget and seed: the arguments, else the scenario, else the defaults.
         if is_for_volumes:
             planning = replace(DEFAULTS, planner="astar-volume", budget_s=planning.budget_s)
+        if max_samples is not None:
+            at_least("max_samples", max_samples, 1)
+            budget_s = math.inf if budget_s is None else budget_s
         arguments = {"planner": planner, "budget_s": budget_s, "seed": seed}
         planning = replace(planning, **values_given(arguments))
+        if max_samples is not None and planning.planner not in SAMPLING_PLANNERS:
+            raise InputError(
+                f"max_samples is of the planners {' and '.join(SAMPLING_PLANNERS)}, and {planning.planner} draws no "
+                "samples: leave it out, or name one of them"
+            )
 
         budgets = {}
         for name, most in (exposure or {}).items():
@@ -103,6 +123,7 @@ class PathSearch:
             planning.planner,
             heuristic,
             planning.budget_s,
+            max_samples,
             planning.seed,
             snap,
             refine,
@@ -110,3 +131,9 @@ class PathSearch:
             on_ground,
             backend,
         )
+
+    @property
+    def limits(self) -> dict[str, Any]:
+        """What ends the search, and its seed, by the names that planners and `solve_many` have for them."""
+        samples = values_given({"max_samples": self.max_samples})
+        return {"budget_s": self.budget_s, "seed": self.seed, **samples}

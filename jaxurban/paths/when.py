@@ -136,7 +136,7 @@ def when(
       altitude_m: flight altitude above ground of queries without an altitude of their own.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
       weights, objective, cost_model, time, time_of_day, constraints, preset: which map, as in `plan`.
-      planner, heuristic, backend, budget_s, seed, snap, on_ground: of each query, as in `plan_many`.
+      planner, heuristic, backend, budget_s, max_samples, seed, snap, on_ground: of each query, as in `plan_many`.
       refine, exposure: of a single plan only.
 
     Returns:

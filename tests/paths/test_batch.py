@@ -211,6 +211,26 @@ def test_a_larger_budget_plans_again_what_a_smaller_one_ended(many, pairs, tmp_p
     np.testing.assert_array_equal(batch[1].xy_m, whole[1].xy_m)
 
 
+def test_samples_instead_of_seconds_give_the_same_route_through_every_door(
+    town, many, pairs, tmp_path
+):
+    """Of `plan_many` alone, too, from its file, and by a machine that is slower."""
+    how = {"planner": "bitstar-plus", "max_samples": 200, "seed": 3}
+    file = tmp_path / "rows.parquet"
+    batch, again = (many(pairs[:2], **how, file=file) for _ in range(2))
+    on = ju.cost_map(town, 20.0)
+    for pair, path, kept in zip(pairs, batch, again, strict=False):
+        assert path.settings["budget_s"] is None
+        assert path.settings["max_samples"] == 200
+        doors = [ju.plan(town, *pair, altitude_m=20.0, **how), on.plan(*pair, **how), kept]
+        for other in doors:
+            np.testing.assert_allclose(other.xy_m, path.xy_m, rtol=0, atol=1e-6)
+    with pytest.raises(ju.InputError, match="max_samples is of the planners bitstar-dist and"):
+        many(pairs, max_samples=200)
+    limited = on.plan(*pairs[0], **how, budget_s=9.0)
+    assert limited.settings["budget_s"] == 9.0
+
+
 def test_a_resumed_batch_gives_the_routes_of_the_whole_one(town, many, monkeypatch, tmp_path):
     free = np.argwhere(ju.Constraints().is_free(town, 20.0))
     cells = np.random.default_rng(1).choice(free, (30, 2))

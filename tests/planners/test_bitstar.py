@@ -227,3 +227,14 @@ def test_many_queries_take_the_batched_search_by_name_and_auto_does_not(monkeypa
     assert {(path.backend, path.planner) for path in paths.values()} == {("jax", planner)}
     by_numba = dict(solve_many(problems[:2], planner=planner, budget_s=0.1))
     assert {path.backend for path in by_numba.values()} == {"numba"}
+
+
+def test_a_limit_of_samples_gives_the_same_path_alone_and_together():
+    problems = queries_on_one_map()[:3]
+    how = {"planner": "bitstar-plus", "max_samples": 300, "seed": 4}
+    together, again = (dict(solve_many(problems, **how, num_threads=num)) for num in (1, 2))
+    for index, problem in enumerate(problems):
+        alone = bitstar_plus(problem, budget_s=np.inf, max_samples=300, seed=4)
+        assert alone.history[-1][1] <= 300
+        for path in (together[index], again[index]):
+            np.testing.assert_array_equal(path.points_m, alone.points_m)
