@@ -12,7 +12,7 @@ from jaxurban.io.files import read_json
 from jaxurban.io.stored import RUN_FILE, stored_settings
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
-from jaxurban.maps.scenario import Scenario
+from jaxurban.maps.scenario import Scenario, changed
 from jaxurban.world.kinds import ALL_KINDS, Obstacles
 
 CityLike = City | MetricMaps | str | Path
@@ -31,7 +31,9 @@ class ChangedSourcesError(InputError):
     """A file that says what stands is there, and maps were made of another one."""
 
 
-def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
+def scenario_of(
+    folder: Path, sources: str | Path | None = None, changes: Sequence[str] = ()
+) -> Scenario:
     """Return the scenario of the run that made the maps in a folder, with relative paths from where its files lie.
 
     The record may come from another machine, so files count only if their sizes and SHA-256 are those that the run
@@ -40,6 +42,7 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     Args:
       folder: of the maps.
       sources: where relative paths begin; left out, the current folder, that of the maps, or the one above it.
+      changes: of its settings, as in `Scenario.from_toml`.
 
     Raises:
       ChangedSourcesError: a file of buildings or terrain is there, and not as it was.
@@ -68,12 +71,13 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
         with suppress(InputError):  # raised where one of the files cannot be read
             files = unsized(hash_inputs(scenario, inputs))
             if files == recorded:
-                return scenario
-            changed = [role for role in files if recorded.get(role) != files[role]]
+                wanted = changed(settings, changes)
+                return Scenario.from_dict(wanted, str(folder / RUN_FILE), place)
+            altered = [role for role in files if recorded.get(role) != files[role]]
             if files:
                 gone = recorded.keys() - files.keys()
-                lost = [(inputs | files)[role] for role in (*changed, *gone)]
-            if not {*STANDING}.isdisjoint(changed):
+                lost = [(inputs | files)[role] for role in (*altered, *gone)]
+            if not {*STANDING}.isdisjoint(altered):
                 kind = ChangedSourcesError
     names = ", ".join(repr(file.get("path")) for file in lost)
     raise kind(

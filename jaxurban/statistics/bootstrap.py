@@ -88,9 +88,13 @@ class Clusters:
 
     def groups_of(self, chosen: np.ndarray) -> int:
         """Return how many groups the chosen values ``[N]`` bool belong to, counted as `num_groups` is."""
-        num_groups = len(np.unique(self._group[chosen]))
+        num_groups = self.count(chosen)
         num_cities = len(np.unique(self._city[chosen]))
-        return min(self.num_groups, num_groups - num_cities + 1)
+        return min(self.num_groups, num_groups - max(num_cities - 1, 0))
+
+    def count(self, chosen: np.ndarray) -> int:
+        """Return how many groups the chosen values ``[N]`` bool belong to."""
+        return len(np.unique(self._group[chosen]))
 
     def crossed(self, other: "Clusters") -> "Clusters":
         """Return draws of the same values in which these groups and the other ones are both drawn.

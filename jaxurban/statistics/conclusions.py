@@ -24,6 +24,7 @@ FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effe
 MOST_RUNS = 1e6  # more are called "no number"
 SAME = 1e-9  # relative, and in the unit of the values: what differs by less is equal
 SHOWN = 3  # sentences of a line
+FAR = 20  # times the runs of a study are very many
 
 
 class SharedVerdict(Enum):
@@ -31,6 +32,7 @@ class SharedVerdict(Enum):
 
     EQUAL = "{what} are equal in {measure} on all {n}"
     TIED = "{what} cannot be told apart in {measure} ({last} over {first}: {size}, {n})"
+    APART = "{what} cannot be compared in {measure}, as there are {n}"
     BORDER = (
         "{which} within {cells} cells of the border of the maps' data, away from the ends: whether the "
         "border made this is not decided by more routes, but by maps of wider bounds"
@@ -87,7 +89,7 @@ class Verdict:
             return sentence
         if math.isinf(self.needed):
             return f"{sentence}; no number of {self.noun} would change that"
-        if math.isnan(self.low):
+        if math.isnan(self.low) and self.needed <= FEWEST_GROUPS:
             return f"{sentence}; an interval takes {self.needed:,.0f} {self.noun}"
         return f"{sentence}; some {self.needed:,.0f} {self.noun} would decide so large an effect"
 
@@ -204,14 +206,26 @@ def concluded(
       more: command of more runs, with a place for ``{needed}``: the fewest that would decide one of the verdicts.
       done: where nothing is left that a study of this kind decides.
       wider: of maps of wider bounds, where only they would decide.
-      factor: how many runs the command makes for each one that counts.
-      ran: how many the study has; the command asks for more, also where few of them count for a verdict.
+      factor: how many runs the command makes for each one of ``ran``.
+      ran: how many the study has; fewer may count for a verdict (`_runs_for`).
     """
+    # What wider maps decide goes before what only very many runs would.
+    open_ones = [each for each in verdicts if 0 < each.needed < math.inf]
     command = done
     if any(each.kind is SharedVerdict.BORDER for each in verdicts):
         command = wider
-    needed = [each.needed for each in verdicts if 0 < each.needed < math.inf]
-    if needed:
-        num = max(ran + 1, math.ceil(factor * min(needed)))
-        command = more.replace("{needed}", str(num))
+        open_ones = [each for each in open_ones if each.needed < FAR * max(each.n, 1)]
+    if open_ones:
+        num = factor * min(_runs_for(each, ran) for each in open_ones)
+        command = more.replace("{needed}", str(math.ceil(num)))
     return Conclusion(tuple(verdicts), command)
+
+
+def _runs_for(verdict: Verdict, ran: int) -> float:
+    """Return how many runs a study must make so that as many count as a verdict needs.
+
+    Where few of ``ran`` counted, their share is taken smaller than it was, so that one more study is likely to do.
+    """
+    if verdict.n >= ran:
+        return verdict.needed
+    return max(ran + 1, verdict.needed * (ran + 2) / max(verdict.n - 1, 1))

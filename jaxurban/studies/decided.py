@@ -29,17 +29,21 @@ FEWEST_RUNS = 10  # of a stratum of which something is said
 EDGE_CELLS = 3  # a route this near to the border of the data may be what the border made it
 USUAL_SHARE = 0.25  # is held out of a fit
 FEWEST_TO_HOLD_OUT = 16  # routes: of fewer none is held out
+MOST_APART = 32  # runs: alternatives that have none of so many in common are not compared
 
 
-def effects(values: np.ndarray | pd.DataFrame, clusters: Clusters) -> pd.DataFrame:
+def effects(
+    values: np.ndarray | pd.DataFrame, clusters: Clusters, least: float = -math.inf
+) -> pd.DataFrame:
     """Return means with intervals that hold all at once: a row per column of the values, by its name.
 
     ``size``, ``low``, ``high``; ``n``, the number of groups; ``needed`` (`runs_needed`). Ends are NaN with fewer groups
-    than `FEWEST_GROUPS`.
+    than `FEWEST_GROUPS`; what is needed then rests on the spread of these few, by the normal law.
 
     Args:
       values: ``[N, P]`` in the order of the groups; NaN does not count.
       clusters: draws of the groups of the ``N`` values.
+      least: what no value is below, such as 0 of regrets, and so no end.
     """
     table = pd.DataFrame(values)
     size = table.mean()
@@ -50,14 +54,18 @@ def effects(values: np.ndarray | pd.DataFrame, clusters: Clusters) -> pd.DataFra
     # The largest deviation of each draw, in standard errors of its column, and its quantile; then, for each column, the
     # same level of Student's t.
     has_interval = num >= FEWEST_GROUPS
-    varies = has_interval & (spread > SAME * size.abs())
-    largest = ((drawn - size) / spread).loc[:, varies].abs().max(axis=1)
-    student = special.stdtrit(num.clip(lower=2) - 1, special.ndtr(largest.quantile(LEVEL)))
-    half = student * spread * np.sqrt(num / (num - 1).clip(lower=1))
-    half = half.where(varies, 0.0).where(has_interval)
-    ends = {"size": size, "low": size - half, "high": size + half, "n": num}
+    varies = (spread > SAME * size.abs()) & (has_interval | ~has_interval.any())
+    largest = ((drawn - size) / spread).loc[:, varies].abs().max(axis=1).quantile(LEVEL)
+    student = special.stdtrit(num.clip(lower=2) - 1, special.ndtr(largest))
+    wide = np.where(has_interval, student, largest)
+    half = (wide * spread * np.sqrt(num / (num - 1).clip(lower=1))).where(varies, 0.0)
+    count = [clusters.count(is_known) for is_known in table.notna().to_numpy().T]
+    ends = {"size": size, "low": size - half, "high": size + half, "n": count}
     result = pd.DataFrame(ends)
-    return result.assign(needed=[runs_needed(*row) for row in result.itertuples(index=False)])
+    needed = pd.Series([runs_needed(*row) for row in result.itertuples(index=False)], size.index)
+    few = needed.clip(FEWEST_GROUPS).replace(math.inf, FEWEST_GROUPS)
+    result[["low", "high"]] = result[["low", "high"]].clip(least).where(has_interval)
+    return result.assign(needed=needed.where(has_interval, few))
 
 
 class Measure(NamedTuple):
@@ -115,7 +123,7 @@ class Ranking:
         return table.sort_values("rank", kind="stable")[shown]
 
     def verdicts(self, before: Enum, noun: str, tied: Enum = SharedVerdict.TIED) -> list[Verdict]:
-        """Return what the ranks say: who is behind whom, who is equal, and who cannot be told apart.
+        """Return what the ranks say: who is behind whom, who is equal, and who cannot be told apart or compared.
 
         Args:
           before: kind of a difference that is decided: ``{last}`` is worse than ``{first}`` by ``{size}``.
@@ -133,16 +141,22 @@ class Ranking:
             size = row.size, row.low, row.high
             verdicts.append(Verdict(kind, what, *size, row.n, self.unit, noun, row.needed, facts))
 
-        # And those that are equal.
+        # And those that are equal, and those that have no runs in common.
         needed = math.inf if self.n >= FEWEST_GROUPS else FEWEST_GROUPS
         verdicts += [
             Verdict(SharedVerdict.EQUAL, each, 0.0, n=self.n, noun=noun, needed=needed, facts=facts)
             for each in self.equal
         ]
+        apart = self.pairs[self.pairs.n == 0]
+        needed = math.nan if self.n >= MOST_APART else FEWEST_GROUPS
+        verdicts += [
+            Verdict(SharedVerdict.APART, each, noun=noun, needed=needed, facts=facts)
+            for each in zip(apart["first"], apart["second"], strict=True)
+        ]
         return verdicts
 
     def _tied(self) -> Iterator[tuple[tuple[str, ...], Any]]:
-        """Yield names that follow each other, as many as have no decided pair, and the pair of the outermost.
+        """Yield names in order, as many as have runs in common and no decided pair, and the pair of the outermost.
 
         The better one of the outermost, on the runs that both have, stands first and the other last.
         """
@@ -154,7 +168,8 @@ class Ranking:
             stop = begin + 1
             for name in self.names[stop:]:
                 others = self.names[begin:stop]
-                if not all(pair_of[frozenset((name, other))].needed for other in others):
+                pairs = [pair_of[frozenset((name, other))] for other in others]
+                if not all(pair.needed and pair.n for pair in pairs):
                     break
                 stop += 1
             if stop > max(end, begin + 1):
@@ -208,7 +223,10 @@ def ranked(measures: Mapping[str, Measure], clusters: Clusters) -> dict[str, Ran
 
 
 def _without_equal(values: pd.DataFrame) -> tuple[pd.DataFrame, tuple[tuple[str, ...], ...]]:
-    """Return values, the least first, with one column for those that are equal on all runs, and the names of these."""
+    """Return values with one column for those that are equal on all runs, and the names of these.
+
+    The least on the runs that all have stands first; where there are none, the least on its own runs.
+    """
     groups: dict[str, list[str]] = {}
     for name in map(str, values):
         same = [
@@ -216,7 +234,8 @@ def _without_equal(values: pd.DataFrame) -> tuple[pd.DataFrame, tuple[tuple[str,
         ]
         groups.setdefault(same[0] if same else name, []).append(name)
     merged = values[[*groups]].rename(columns={each: " = ".join(groups[each]) for each in groups})
-    order = merged.mean().sort_values(kind="stable").index
+    common = merged.dropna()
+    order = (merged if common.empty else common).mean().sort_values(kind="stable").index
     return merged[order], tuple(tuple(each) for each in groups.values() if len(each) > 1)
 
 

@@ -27,7 +27,7 @@ from jaxurban.settings import iso_utc
 from jaxurban.statistics.bootstrap import Clusters
 from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, sized
 from jaxurban.studies.compared_routes import compared_routes
-from jaxurban.studies.decided import border_verdict, effects
+from jaxurban.studies.decided import border_verdict, effects, wider_bounds
 
 CELLS = ("y", "x")
 SAME = 1e-6  # values that differ by no more, as on another device, are equal
@@ -50,6 +50,7 @@ class MapVerdict(Enum):
         "B closes {closed:,} of A's, and {lost:,} have no way on B"
     )
     KEPT = "A route of A that B leaves open costs {size} more on B than B's own ({n})"
+    KEPT_OPEN = "How much more than B's own a route of A costs on B is open: {size} ({n})"
     NO_ROUTES = "Whether routes change: none were planned"
     GUESSES = "How much of it comes of what only one of them guesses (A: {of_a}; B: {of_b})"
 
@@ -139,14 +140,18 @@ class MapComparison(Result):
         # Commands that can be pasted as they are; of maps in memory they are Python's.
         more = "ju.studies.compare(A, B, routes={needed})"
         view = "ju.view(B)"
+        wider = "ju.build_maps(city, grid=wider_grid)"
         if all(self.names):
             a, b = map(shlex.quote, self.names)
             which = f"--resolution {self.a.grid.resolution_m:g}"
             more = f"jaxurban compare {a} {b} {which} --routes {{needed}} -o {b}_routes_{{needed}}"
             view = f"jaxurban view {b} {which}"
+            bounds = wider_bounds(self.a.grid)
+            wider = f'jaxurban maps {a} {b} -o {b}_wider --set "region.bounds={bounds}"'
         command = more if self.routes.empty else view
         done = command.replace("{needed}", str(USUAL_ROUTES))
-        return concluded(verdicts, more=more, done=done, wider=done)
+        num = 0 if self.routes.empty else self.routes.pair.nunique()
+        return concluded(verdicts, more=more, done=done, wider=wider, ran=num)
 
     def _of_cells(self) -> Verdict:
         """Return by how much each metric differs on average, and how many cells change for planners."""
@@ -191,9 +196,11 @@ class MapComparison(Result):
         clusters = Clusters(routes.pair)
         share, low, high = (100 * each for each in clusters.interval(routes.is_changed, "share"))
         yield Verdict(MapVerdict.ROUTES, (), share, low, high, len(routes), "%", facts=facts)
-        size, low, high, num, needed = effects(100 * routes[["regret"]], clusters).to_numpy()[0]
+        regret = effects(100 * routes[["regret"]], clusters, least=0.0)
+        size, low, high, num, needed = regret.to_numpy()[0]
         if facts["count"] and num:
-            yield Verdict(MapVerdict.KEPT, (), size, low, high, int(num), "%", "pairs", needed)
+            kind = MapVerdict.KEPT_OPEN if needed else MapVerdict.KEPT
+            yield Verdict(kind, (), size, low, high, int(num), "%", "pairs", needed)
         yield from border_verdict(routes.at_edge.to_numpy() > 0)
 
     def _of_guesses(self) -> Iterator[Verdict]:

@@ -209,9 +209,10 @@ def preset_option(cost_map: CostMap) -> str:
     return f"--preset {preset} " if preset else ""
 
 
-def weights_option(weights: Weights) -> str:
-    """Return weights as ``--weights`` takes them."""
-    return ",".join(f"{name}={value:.6g}" for name, value in weights.to_dict().items())
+def weights_option(weights: Weights, metrics: Iterable[str] | None = None) -> str:
+    """Return weights as ``--weights`` takes them; with metrics, those of the distance and of these alone."""
+    names = weights.to_dict() if metrics is None else ("distance", *metrics)
+    return ",".join(f"{name}={weights[name]:.6g}" for name in names)
 
 
 def outcome_names(names: Sequence[str]) -> tuple[str, ...]:

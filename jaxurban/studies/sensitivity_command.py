@@ -24,6 +24,7 @@ from jaxurban.terminal.common import (
     Point,
     Settings,
     all_cores,
+    finite_records,
     log_lines,
     outcome_of,
     print_json,
@@ -118,7 +119,7 @@ def sensitivity_command(
         raise click.UsageError("one route has a --start and a --goal, several have --routes")
     settings = SensitivitySettings(vary=vary, factors=factors, **study)
 
-    from jaxurban.io.tables import read_table, records_of
+    from jaxurban.io.tables import read_table
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.studies.reports.run_sensitivity import sensitivity
 
@@ -148,12 +149,11 @@ def sensitivity_command(
     log_lines(result.decided.facts)
     LOG.info(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
-        tables = {name: records_of(table) for name, table in result.tables.items()}
         facts = {
             "folder": str(output),
             "decided": result.decided.to_dict(),
             "statuses": statuses,
-            "tables": tables,
+            "tables": finite_records(result.tables),
         }
         print_json(facts, code, message)
     return code

@@ -1,5 +1,6 @@
 """jaxurban study."""
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +21,7 @@ from jaxurban.terminal.common import (
     WORKERS,
     ZONES,
     Settings,
+    again,
     all_cores,
     constraints_given,
     log_lines,
@@ -126,7 +128,10 @@ def study_command(
         overwrite=overwrite,
         constraints=constraints,
     )
-    result = replace(result, scenario=str(scenario_file))
+    # Where the queries are those of a file, further ones are drawn, for a study of its own.
+    own = shlex.quote(f"{folder}-more" if instances_file else str(folder))
+    typed = again("-o ", "--instances ", "--set study.instances ")
+    result = replace(result, again=f"{typed} -o {own}")
     report_file = result.save(analysis)[-1]
     log_lines(result.decided.facts)
     LOG.info(f"study finished: read {report_file}")

@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -21,6 +22,7 @@ from jaxurban.paths.suffixes import PICTURES
 from jaxurban.progress import LOG, reporting
 from jaxurban.settings import CLEARANCES, Planning, Preset
 from jaxurban.terminal.options import (
+    TYPED,
     Names,
     Numbers,
     Values,
@@ -433,6 +435,26 @@ def run_study(
         sentence += f", look at {figures}"
     LOG.info(sentence)
     return result
+
+
+def again(*dropped: str) -> str:
+    """Return the command that runs, as it was typed, without ``--json``, ``--overwrite`` and some options.
+
+    Args:
+      dropped: beginnings of options and their values that are left out, as ``"-o "`` or ``"--set study.instances "``;
+        or of other words.
+    """
+    words = click.get_current_context().meta[TYPED]
+    words = [word for word in words if word not in ("--json", "--overwrite")]
+    kept = ["jaxurban"]
+    is_value = False  # of an option that is left out
+    for word, value in zip(words, [*words[1:], ""], strict=True):
+        pair = f"{word} {value}".replace("=", " ", 1)
+        is_dropped = not is_value and pair.startswith(dropped)
+        if not (is_value or is_dropped):
+            kept.append(word)
+        is_value = is_dropped and word.startswith("-") and "=" not in word
+    return shlex.join(kept)
 
 
 def report_places(output: Path) -> Settings:

@@ -16,7 +16,7 @@ from jaxurban.checks import finite, one_of, unit_of_argument
 Decorator = Callable[[Callable], Callable]
 ONE = {float: click.FLOAT, int: click.INT, bool: click.BOOL, str: click.STRING}
 
-
+TYPED = "words"  # of a click context: those of the command
 # Sections of the help for options that several commands have; the others stand before them.
 SECTIONS = {
     "Maps": ("resolution_m", "time", "times", "time_of_day", "sources", "changes"),
@@ -27,7 +27,12 @@ SECTIONS = {
 
 
 class Command(click.Command):
-    """A command whose help lists its options by `SECTIONS`."""
+    """A command whose help lists its options by `SECTIONS`, and that can be run again (`terminal.common.again`)."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Return what is left of the words of a command when its own are taken, which are kept as they were typed."""
+        ctx.meta[TYPED] = [str(ctx.info_name), *args]
+        return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options into a help text."""

@@ -46,7 +46,7 @@ def table() -> pd.DataFrame:
     for k in range(10):
         rows += [
             row(k, CHEAP, 10.0, status="optimal", elapsed_s=1.0),
-            row(k, DEAR, 12.0 if k else None),
+            row(k, DEAR, 12.0 if k else None, gap=0.5 if k < 4 else np.inf),
         ]
         rows += [row(k, LINE, 10.2 if k < 4 else None, elapsed_s=0.001)]
         rows += [row(k, CHEAP, 15.0, objective="distance", length_m=80.0, m_gps=0.25)]
@@ -84,6 +84,9 @@ def test_success_counts_paths_pairs_and_crashes(table):
     assert (cheap.pairs, cheap.paths, cheap.joined, cheap.crashed) == (6, 4, 5, 1)
     shares = cheap.solved, cheap.proven, found.loc[(LINE, "short")].solved
     assert shares == pytest.approx((100 * 4 / 5, 100 * 4 / 6, 100 * 4 / 6))
+    gaps = found.gap[DEAR]
+    assert gaps["short"] == 50  # of those that have a bound above 0, on which alone a gap is known
+    assert np.isnan(gaps["long"])
 
 
 def test_times_are_by_planner_and_altitude(table):
@@ -104,7 +107,7 @@ def test_planners_are_ranked_by_cost_where_both_found_a_path_and_by_the_pairs_th
     assert solved.loc[(CHEAP, LINE)].size == 5
     assert solved.loc[(CHEAP, LINE), "size"] == pytest.approx(100 * 6 / 11)
     place = dict.fromkeys(IN_METRES, 5.0) | {"altitude_m": 20.0}
-    given = pd.DataFrame([place]), made_maps(10, 10), "city.toml"
+    given = pd.DataFrame([place]), made_maps(10, 10), "jaxurban study city.toml -o DIR"
     decided = analysis.conclusion(table.assign(at_edge=0.0), *given)
     assert decided.facts["next"].startswith(
         "jaxurban study city.toml -o DIR --set study.instances="
@@ -119,7 +122,7 @@ def test_planners_are_ranked_by_cost_where_both_found_a_path_and_by_the_pairs_th
 def test_of_one_planner_there_is_nothing_to_compare(table):
     place = dict.fromkeys(IN_METRES, 5.0) | {"altitude_m": 20.0}
     alone = table[table.planner == CHEAP].assign(at_edge=0.0)
-    given = pd.DataFrame([place]), made_maps(10, 10), "city.toml"
+    given = pd.DataFrame([place]), made_maps(10, 10), ""
     lines = analysis.conclusion(alone, *given).facts
     assert lines["not decided"] == (f"there is nothing to compare, as {CHEAP} is the only planner.")
     assert lines["next"].startswith("jaxurban plan ")

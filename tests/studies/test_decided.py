@@ -186,10 +186,12 @@ def test_no_interval_of_shares_goes_beyond_what_can_be():
 
 
 def test_the_next_study_is_longer_than_the_one_that_ran():
-    """Of 10 instances 9 are joined, and 7 of them are solved by both planners."""
+    """Of 10 instances 7 are solved by both planners."""
     tied = Verdict(SharedVerdict.TIED, ("a", "b"), 1.0, n=7, needed=8.0, facts={"measure": "cost"})
-    conclusion = concluded([tied], more="run {needed}", done="done", factor=10 / 9, ran=10)
-    assert conclusion.next_command == "run 11"
+    conclusion = concluded([tied], more="run {needed}", done="done", ran=10)
+    assert conclusion.next_command == "run 16"  # 8 / 0.7 and a margin, as the share may be smaller
+    all_count = Verdict(**{**vars(tied), "n": 10, "needed": 30.0})
+    assert concluded([all_count], more="{needed}", done="", ran=10).next_command == "30"
 
 
 def test_of_two_that_cannot_be_told_apart_the_better_one_on_common_runs_stands_first():

@@ -213,7 +213,7 @@ def test_the_first_lines_say_where_the_route_changes_and_that_one_route_says_not
     assert first.facts["factor"] == nearest.factor
     assert f"{nearest.weight_name} times {nearest.factor:.3g} sends the drone" in lines["decided"]
     assert "which one route cannot say" in lines["not decided"]
-    assert lines["next"].startswith("jaxurban sensitivity DIR --altitude 20 ")  # maps in memory
+    assert lines["next"].startswith("jaxurban sensitivity DIR --resolution 10 ")  # in memory
     assert lines["next"].endswith(f" -o {found.folder}-more --routes 30")
     report = (found.folder / "report.md").read_text().splitlines()
     assert report[2].startswith("- **Decided**: ")

@@ -241,13 +241,16 @@ def test_a_share_of_the_cost_is_no_measure_of_harm_and_regrets_have_the_interval
     of_layer = table[table.weight_name == "layer"]
     row = rows[(rows.cut == "all") & (rows.weight_name == "layer")].iloc[0]
     interval = Clusters(of_layer.instance, of_layer.city).interval(of_layer.regret)
-    assert (row.regret, row.regret_low, row.regret_high) == pytest.approx(tuple(interval))
+    alone = row.regret_alone, row.regret_alone_low, row.regret_alone_high
+    assert alone == pytest.approx(tuple(interval))
+    assert row.regret == row.regret_alone
+    assert row.regret_low < row.regret_alone_low < row.regret_alone_high < row.regret_high
 
 
 def said(table: pd.DataFrame, at_edge: float = 0.0) -> dict[WeightVerdict | SharedVerdict, Verdict]:
     """Return the verdicts of a made table of weights by their kinds, the first of each kind."""
     routes = pd.DataFrame({"at_edge": [at_edge] * 3 + [0.0] * 77})
-    tables = {"weights": table, "routes": routes}
+    tables = {"weights": table, "routes": routes, "summary": summarise(table, 2.0)}
     verdicts = verdicts_of(tables, None, ju.studies.SensitivitySettings())
     return {each.kind: each for each in reversed(verdicts)}
 

@@ -59,6 +59,8 @@ GIVEN_ROUTE: Look = HALO | {  # dark with a white edge, so that it is seen over 
 
 DOT_GAP = 0.18  # between dots of two cities, as a share of the distance between two weights
 ROW_IN = 0.3  # height of a weight's row
+AT_ONCE = "mean, with the interval that holds for all weights at once"
+ALONE: Look = {"color": "#bbbbbb", "linewidth": 4.5, "zorder": 1}  # of a weight's interval alone
 
 
 def plot_breakpoint_routes(route: OneRoute) -> Figure:
@@ -131,33 +133,37 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
     Args:
       summary: rows of statistics, each of one weight and of one part of the routes: ``cut`` says by what routes are
         parted and ``value`` which part it is, here the city, or all routes where there is one city; ``regret`` is a
-        share of the cost.
+        share of the cost, with intervals that hold for all weights at once, and ``regret_alone`` has that of each
+        weight alone, a grey bar behind.
       wrong: by which factor the weight is wrong, in both directions.
     """
     weights = summary.weight_name[summary.regret.notna()].unique().tolist()
     is_city = summary.cut == "city"
     by_city = summary[is_city if is_city.any() else summary.cut == ALL]
     cities = by_city.value.unique()
-    heading = f"Cost of a weight that is {wrong:g} times too large or too small"
+    heading = f"How much more routes cost with one weight {wrong:g} times too large or too small"
     figure, (panel,) = panels(1, heading, height_in=ROW_IN * len(weights))
     for number, city in enumerate(cities):
         rows = by_city[by_city.value == city].set_index("weight_name").reindex(weights)
 
         # Dots of several cities stand one below the other around the row of the weight.
         y = np.arange(len(weights)) + (number - (len(cities) - 1) / 2) * DOT_GAP
+        low, high = rows[["regret_alone_low", "regret_alone_high"]].to_numpy().T
+        has_bar = np.isfinite(low)
+        label = None if number else "interval of each weight alone"
+        panel.hlines(y[has_bar], low[has_bar], high[has_bar], label=label, **ALONE)
         dots(
             panel,
             y,
             rows,
             "regret",
             color=SERIES_COLOURS[number % len(SERIES_COLOURS)],
-            label=city,
+            label=city if len(cities) > 1 else AT_ONCE,
             marker=MARKERS[number % len(MARKERS)],
         )
     name_rows(panel, weights)
-    panel.set(xlabel="regret (% of the cost)")
+    panel.set(xlabel="mean regret (% of the cost)")
     panel.set_xlim(left=0)
     panel.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=None, symbol=""))
-    if len(cities) > 1:
-        legend_below(figure, panel)
+    legend_below(figure, panel)
     return figure

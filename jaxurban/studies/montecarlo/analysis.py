@@ -8,6 +8,7 @@ import math
 from enum import Enum
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from jaxurban.maps.metric_maps import MetricMaps
@@ -69,14 +70,18 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
 
     ``pairs``, ``paths``, ``joined`` and ``crashed`` are counts. ``solved`` is the percentage of the pairs that some
     path joins for which the planner found one (NaN if there is none), and ``proven`` that of all pairs with the
-    status optimal.
+    status optimal. ``gap`` is by how many percent a path may cost more than the cheapest of its planner's graph, on
+    average and by the planner's lower bound: 0 where all are proven.
 
     Args:
       table: from `with_instances`; only runs of the weighted objective count.
     """
     rows = weighted_rows(table)
+    gap = rows.gap.astype(float)
     rows = rows.assign(
-        proven=rows.status == Status.OPTIMAL.value, has_crashed=rows.status == CRASHED
+        proven=rows.status == Status.OPTIMAL.value,
+        has_crashed=rows.status == CRASHED,
+        gap=gap.where(rows.has_path & np.isfinite(gap)),
     )
     grouped = rows.groupby(["planner", "altitude_m", "range"], sort=True)
     result = grouped.agg(
@@ -84,6 +89,7 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     )
     result["solved"] = 100 * result.paths / result.joined.where(result.joined > 0)
     result["proven"] = 100 * grouped.proven.mean()
+    result["gap"] = 100 * grouped.gap.mean()
     result["crashed"] = grouped.has_crashed.sum()
     return result.reset_index()
 
@@ -155,7 +161,7 @@ def _changes(pairs: pd.DataFrame) -> dict[str, float]:
 class StudyVerdict(Enum):
     """What a benchmark decides of two planners, by each measure of `rankings`."""
 
-    COSTS_MORE = "{last} costs {size} more than {first} where both find a path ({n})"
+    COSTS_MORE = "{last} costs {size} more than {first} ({n})"
     FINDS_LESS = "{last} finds a path for {size} fewer of the joined pairs than {first} ({n})"
     COST_TIED = (
         "{what} cannot be told apart in {measure} ({last} costs {size} more than {first}, {n})"
@@ -167,9 +173,9 @@ class StudyVerdict(Enum):
     ALONE = "there is nothing to compare, as {first} is the only planner"
 
 
-KINDS = {  # of each measure, where two planners differ and where they cannot be told apart
-    "cost": (StudyVerdict.COSTS_MORE, StudyVerdict.COST_TIED),
-    "pairs solved": (StudyVerdict.FINDS_LESS, StudyVerdict.FINDS_TIED),
+KINDS = {  # of each measure: where two planners differ, what runs are, and where they cannot be told apart
+    "cost": (StudyVerdict.COSTS_MORE, "instances that both solve", StudyVerdict.COST_TIED),
+    "pairs solved": (StudyVerdict.FINDS_LESS, "joined instances", StudyVerdict.FINDS_TIED),
 }
 
 
@@ -204,7 +210,7 @@ def best_rows(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def conclusion(
-    table: pd.DataFrame, instances: pd.DataFrame, maps: MetricMaps, scenario: str
+    table: pd.DataFrame, instances: pd.DataFrame, maps: MetricMaps, again: str
 ) -> Conclusion:
     """Return what a benchmark decided: the planners' ranks, and how many routes the border may have made.
 
@@ -212,31 +218,30 @@ def conclusion(
       table: from `with_instances`.
       instances: of the benchmark.
       maps: of the benchmark.
-      scenario: file that a larger benchmark is run from.
+      again: command of the same benchmark, which ends in its folder; empty: that of the maps' scenario.
     """
     verdicts: list[Verdict] = []
     rankings_of = rankings(table)
     for measure, ranking in rankings_of.items():
-        before, tied = KINDS[measure]
-        verdicts += ranking.verdicts(before, "instances", tied)
+        verdicts += ranking.verdicts(*KINDS[measure])
     planners = table.planner.unique()
     if len(planners) == 1:
         verdicts.append(Verdict(StudyVerdict.ALONE, (str(planners[0]),), needed=math.nan))
-    num_joined = max((ranking.n for ranking in rankings_of.values()), default=0)
     best = best_rows(table)
     verdicts += border_verdict(best.at_edge.to_numpy() == 1)
     planner = str(table.planner.iloc[0])
     if rankings_of:
         planner = rankings_of["cost"].names[0].partition(" = ")[0]
+    folder = maps.folder or "DIR"
+    again = again or f"jaxurban study {maps.folder or 'SCENARIO'} -o {folder}"
     first = instances.iloc[0]
     ends = ends_option(maps.grid, first[[*IN_METRES]].to_numpy(float).reshape(2, 2))
-    folder = maps.folder or "DIR"
-    num_instances = table.instance.nunique()
+    num = table.instance.nunique()
+    more = "--set study.instances="
     return concluded(
         verdicts,
-        more=f"jaxurban study {scenario} -o {folder} --set study.instances={{needed}}",
-        wider=f'jaxurban study {scenario} -o {folder}-wider --set "region.bounds={wider_bounds(maps.grid)}"',
+        more=f"{again} {more}{{needed}}",
+        wider=f'{again}-wider {more}{num} --set "region.bounds={wider_bounds(maps.grid)}"',
         done=f"jaxurban plan {folder} {ends} --altitude {first.altitude_m:g} --planner {planner}",
-        factor=num_instances / max(num_joined, 1),
-        ran=num_instances,
+        ran=num,
     )

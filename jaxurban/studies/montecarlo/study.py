@@ -47,7 +47,7 @@ class BenchmarkResult(Result):
       instances: the queries (`sample_instances`).
       rows: what each planner found, one row per planner, objective, instance and altitude.
       settings: how they were run.
-      scenario: file that the command to run next names.
+      again: command that ran it, which ends in its folder; empty where none did.
 
     Examples:
       >>> chosen = ju.studies.Study(planners="astar-plus", distance_only=(), altitudes_m=[60.0])
@@ -64,7 +64,7 @@ class BenchmarkResult(Result):
     instances: pd.DataFrame
     rows: pd.DataFrame
     settings: Benchmark
-    scenario: str = "SCENARIO"
+    again: str = ""
 
     @property
     def facts(self) -> dict[str, str]:
@@ -77,7 +77,7 @@ class BenchmarkResult(Result):
     @cached_property
     def decided(self) -> Conclusion:
         """Which planners are cheaper and find more paths, which cannot be told apart, and what to run next."""
-        return analysis.conclusion(self.table, self.instances, self.maps, self.scenario)
+        return analysis.conclusion(self.table, self.instances, self.maps, self.again)
 
     @property
     def table(self) -> pd.DataFrame:

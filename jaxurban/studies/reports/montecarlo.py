@@ -38,6 +38,7 @@ def border_figure(result: BenchmarkResult, pinned: pd.DataFrame) -> Figure:
         queries.drop(columns="crs"),
         cost_model=rules.cost_model,
         constraints=rules.constraints,
+        planner="astar",
         progress=False,
     )
     return plot_paths(result.maps, paths, names=[f"instance {each}" for each in drawn.instance])

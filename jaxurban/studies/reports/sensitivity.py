@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from itertools import chain
 from pathlib import Path
 
 import pandas as pd
@@ -158,24 +159,26 @@ class Sensitivity(FactsRepr):
         folders = " ".join(str(maps.folder or "DIR") for maps in self.maps.values())
         altitudes = ",".join(f"{z:g}" for z in sorted(self.instances.altitude_m.unique()))
         low, high = self.settings.factors
-        options = f"--altitude {altitudes} --range {low:g},{high:g}"
+        first = next(iter(self.maps.values()))
+        options = f"--resolution {first.grid.resolution_m:g} --altitude {altitudes} --range {low:g},{high:g} "
+        options += f"--preset {self.rules.preset} " * bool(self.rules.preset)
         if self.settings.vary:
-            options += f" --vary {','.join(self.settings.vary)}"
+            options += f"--vary {','.join(self.settings.vary)} "
         weights = shared_weights(self.instances)
         if weights is not None:
-            options += f" --weights {weights_option(weights)}"
+            metrics = dict.fromkeys(chain(*(maps.metrics for maps in self.maps.values())))
+            options += f"--weights {weights_option(weights, metrics)} "
         if self.rules.snap:
-            options += " --snap"
-        command = f"jaxurban sensitivity {folders} {options} -o {self.folder}-more --routes"
+            options += "--snap "
+        command = f"jaxurban sensitivity {folders} {options}-o {self.folder}-more --routes"
         others = f"{command} {MORE_ROUTES}"
         if self.is_sampled:  # other routes than these
             others += f" --study seed={self.settings.seed + 1}"
-        first = next(iter(self.maps.values()))
         return concluded(
             verdicts,
             more=command + " {needed}",
             done=others,
-            wider=f"jaxurban maps SCENARIO -o {first.folder or 'DIR'}-wider --set "
+            wider=f"jaxurban maps {first.folder or 'SCENARIO'} -o {first.folder or 'DIR'}-wider --set "
             f'"region.bounds={wider_bounds(first.grid)}"',
             factor=1 / len(self.maps),
         )

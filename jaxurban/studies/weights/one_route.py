@@ -121,7 +121,7 @@ def one_route(cost_map: CostMap, instance: Row, job: WeightsJob, report: Report)
     query, weights, _ = query_of(cost_map, instance, job.snap)
     places = [XY(instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal")]
     weighed = cost_map.with_weights(weights_from(query, weights))
-    path = weighed.plan(*places, snap=job.snap)
+    path = weighed.plan(*places, planner="astar", budget_s=np.inf, snap=job.snap)
     if not path.status.has_path:
         return None
     pool = RoutePool([query])

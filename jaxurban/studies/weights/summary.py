@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.paths.rows import HAS_PATH
-from jaxurban.statistics.bootstrap import Clusters, Statistic, named
-from jaxurban.studies.decided import FEWEST_RUNS
+from jaxurban.statistics.bootstrap import Clusters, Statistic, interval_columns, named
+from jaxurban.studies.decided import FEWEST_RUNS, effects
 from jaxurban.studies.weights.paid import PAID
 from jaxurban.studies.weights.routes import OF_WEIGHT, ROUTE_KEY
 
@@ -77,8 +77,8 @@ def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.S
     """Return the statistics of a weight by name: a function of its rows that gives the values, and their average.
 
     ``share`` is the mean share of the cost, ``nearest`` the median factor, ``changes`` the share of routes that change
-    where the weight is up to ``wrong`` times too small or too large, ``regret`` the mean regret, and ``more_length_m``
-    and the like what a user pays more for such a weight on average (`PAID`).
+    where the weight is up to ``wrong`` times too small or too large, ``regret_alone`` the mean regret, and
+    ``more_length_m`` and the like what a user pays more for such a weight on average (`PAID`).
 
     Args:
       wrong: factor of a wrong weight, above 1.
@@ -92,8 +92,17 @@ def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.S
         "share": (lambda table: table.elasticity, "mean"),
         "nearest": (lambda table: table.nearest, "median"),
         "changes": (is_changed, "share"),
-        **{name: (itemgetter(name), "mean") for name in ("regret", *MORE)},
+        "regret_alone": (itemgetter("regret"), "mean"),
+        **{name: (itemgetter(name), "mean") for name in MORE},
     }
+
+
+def regrets_of(weights: pd.DataFrame) -> pd.DataFrame:
+    """Return the regrets of weights that vary, shares of the cost: a row per route, in order, a column per weight."""
+    varied = weights[weights.varies]
+    key = [*ROUTE_KEY]
+    table = varied.pivot(index=key, columns="weight_name", values="regret")
+    return table.reindex(pd.MultiIndex.from_frame(varied[key].drop_duplicates()))
 
 
 def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
@@ -138,7 +147,9 @@ def pairs_of(table: pd.DataFrame) -> Clusters:
 def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     """Return which weights matter where: a row for each part (``cut``, ``value``) of the routes and each weight.
 
-    Its columns are the sizes of the part and the statistics of `statistics_of` with their intervals.
+    Its columns are the sizes of the part and the statistics of `statistics_of`, each with its interval alone, and
+    ``regret``, the mean regret, whose intervals hold for all weights of a part at once; ``regret_needed`` pairs of
+    places would keep its interval off 0.
 
     Args:
       weights: from `weights_table`.
@@ -146,12 +157,16 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     """
     rows = []
     for cut, value, part in cuts_of(weights):
+        regrets = regrets_of(part)
+        at_once = effects(regrets, pairs_of(regrets.index.to_frame()), least=0.0)
+        at_once = at_once.drop(columns="n").reindex(part.weight_name.unique())
         for name, of_weight in part.groupby("weight_name", sort=False):
             row = {"cut": cut, "value": value, "weight_name": name, **_sizes_of(of_weight)}
             clusters = pairs_of(of_weight)
             for statistic, (values_of, average) in statistics_of(wrong).items():
                 row |= named(statistic, clusters.interval(values_of(of_weight), average))
-            rows.append(row)
+            columns = *interval_columns("regret"), "regret_needed"
+            rows.append(row | dict(zip(columns, at_once.loc[name], strict=True)))
     return pd.DataFrame(rows)
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.statistics.conclusions import Verdict, sized
-from jaxurban.studies.decided import Measure, Ranking, border_verdict, effects, ranked
+from jaxurban.studies.decided import Measure, Ranking, border_verdict, ranked
 from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.routes import ROUTE_KEY
 from jaxurban.studies.weights.settings import SensitivitySettings
-from jaxurban.studies.weights.summary import ALL, HEIGHTS, pairs_of
+from jaxurban.studies.weights.summary import ALL, HEIGHTS, num_routes, pairs_of, regrets_of
 
 PAID_WORDS = {
     "more_length_m": "m of way",
@@ -27,6 +27,7 @@ CHANGE_WORDS = {
     "time_of_day": "people of another time of day",
 }
 OF_COST = "% of the cost"
+PAIRS = "pairs of places"
 
 
 class WeightVerdict(Enum):
@@ -37,6 +38,9 @@ class WeightVerdict(Enum):
     )
     TIED = "which of {what} matters more ({first} over {last}: {size}, {n})"
     COSTS = "{first} {wrong:g} times wrong makes routes cost {size} more: {paid} (means of {n})"
+    COSTS_OPEN = (
+        "how much more routes cost with {first} {wrong:g} times wrong is open: {size} ({n})"
+    )
     NO_CHANGE = "no factor of {what} from {low:g} to {high:g} changes any of {n}"
     OTHER_WAY = (
         "{first} times {factor:.3g} sends the drone another way: {paid}, at {size} more cost"
@@ -59,12 +63,14 @@ def verdicts_of(
     """Return what a study says of its weights, the most important first.
 
     Args:
-      tables: of the study: ``routes``, ``weights``, and ``changed_summary`` where it has one.
+      tables: of the study: ``routes``, ``weights``, ``summary``, and ``changed_summary`` where it has one.
       route: what only a study of one route has.
       settings: of the study.
     """
     weights = tables["weights"]
-    verdicts = list(_ways(route, settings) if route else _ranks(weights, settings))
+    summary = tables["summary"]
+    of_all = summary[summary.cut == ALL]
+    verdicts = list(_ways(route, settings) if route else _ranks(weights, of_all, settings))
     if "changed_summary" in tables:
         changed = tables["changed_summary"]
         verdicts += map(_on_other_maps, changed[changed.cut == ALL].to_dict("records"))
@@ -80,7 +86,7 @@ def weight_ranking(weights: pd.DataFrame) -> Ranking | None:
       weights: a row per route and weight.
     """
     changes = _changes(weights)
-    regrets = _regrets(weights)
+    regrets = 100 * regrets_of(weights)
     measure = Measure(regrets[changes.index[changes]].dropna(axis=1), OF_COST, is_better_high=True)
     if measure.values.shape[1] < 2:
         return None
@@ -94,44 +100,42 @@ def _changes(weights: pd.DataFrame) -> pd.Series:
     return is_changed.groupby(varied.weight_name, sort=False).any()
 
 
-def _regrets(weights: pd.DataFrame) -> pd.DataFrame:
-    """Return the regrets of weights that vary, in % of the cost: a row per route and a column per weight."""
-    varied = weights[weights.varies]
-    return 100 * varied.pivot(index=[*ROUTE_KEY], columns="weight_name", values="regret")
-
-
-def _ranks(weights: pd.DataFrame, settings: SensitivitySettings) -> Iterator[Verdict]:
+def _ranks(
+    weights: pd.DataFrame, of_all: pd.DataFrame, settings: SensitivitySettings
+) -> Iterator[Verdict]:
     """Yield how the weights rank, what each costs where it is wrong, and which change nothing.
 
     Args:
       weights: a row per route and weight.
+      of_all: the rows of the summary of all routes, whose intervals are those of the report and its picture.
       settings: of the study.
     """
     wrong = {"wrong": settings.wrong}
     ranking = weight_ranking(weights)
     if ranking is not None:
-        kinds = WeightVerdict.MATTERS_MORE, "routes", WeightVerdict.TIED
+        kinds = WeightVerdict.MATTERS_MORE, PAIRS, WeightVerdict.TIED
         for verdict in ranking.verdicts(*kinds):
             yield replace(verdict, facts={**verdict.facts, **wrong})
 
-    # The weights that change any route, and those that change none. No regret is below 0; one whose interval reaches 0
-    # is not decided.
+    # The weights that change any route, and those that change none. How much a weight costs is open where its interval
+    # reaches 0.
     changes = _changes(weights)
     dead = changes.index[~changes].tolist()
     varied = weights[weights.varies]
-    regrets = _regrets(weights)
-    costs = effects(regrets, pairs_of(regrets.index.to_frame())).loc[changes.index[changes]]
-    costs = costs.sort_values("size", ascending=False)
-    rows: Any = costs.assign(low=costs.low.clip(lower=0)).itertuples()
+    costs = of_all.set_index("weight_name").loc[changes.index[changes]]
+    rows: Any = costs.sort_values("regret", ascending=False).itertuples()
     for row in rows:
         of_weight = varied[varied.weight_name == row.Index]
         facts = wrong | {"paid": paid_on_average(of_weight)}
-        about = row.size, row.low, row.high, row.n, "%", "routes", row.needed
-        yield Verdict(WeightVerdict.COSTS, (row.Index,), *about, facts)
+        percent = (100 * each for each in (row.regret, row.regret_low, row.regret_high))
+        kind = WeightVerdict.COSTS
+        if 0 < row.regret_needed < math.inf:
+            kind = WeightVerdict.COSTS_OPEN
+        about = *percent, row.pairs, "%", PAIRS, row.regret_needed
+        yield Verdict(kind, (row.Index,), *about, facts)
     if dead:
-        yield Verdict(
-            WeightVerdict.NO_CHANGE, tuple(dead), 0.0, n=len(regrets), facts=_range(settings)
-        )
+        num = num_routes(varied)
+        yield Verdict(WeightVerdict.NO_CHANGE, tuple(dead), 0.0, n=num, facts=_range(settings))
 
     # Routes that the border may have made, if one of the weights is wrong.
     sent = varied.groupby([*ROUTE_KEY]).more_at_edge.max()
