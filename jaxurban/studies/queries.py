@@ -203,6 +203,25 @@ def command_to_plan(query: RouteQuery, weights: Weights) -> str:
     )
 
 
+def command_to_vary(query: RouteQuery, weights: Weights, folder: str) -> str:
+    """Return the command that says whether routes change where weights are wrong; empty where no metric has a weight.
+
+    Args:
+      query: of whose maps and altitude.
+      weights: the metrics' and the distance's.
+      folder: that the study is kept in.
+    """
+    cost_map = query.cost_map
+    maps = cost_map.maps
+    if not any(weights[name] for name in cost_map.names):
+        return ""
+    return (
+        f"jaxurban sensitivity {maps.folder or 'DIR'} --resolution {maps.grid.resolution_m:g} "
+        f"--altitude {cost_map.altitude_m:g} {preset_option(cost_map)}"
+        f"--weights {weights_option(weights, maps.metrics)} -o {folder} --routes 30"
+    )
+
+
 def preset_option(cost_map: CostMap) -> str:
     """Return the option of the preset under which is planned, with a space behind; empty without one."""
     preset = cost_map.maps.planning.preset

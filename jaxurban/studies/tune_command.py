@@ -1,5 +1,6 @@
 """jaxurban tune."""
 
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -19,6 +20,7 @@ from jaxurban.terminal.common import (
     RESOLUTION,
     RULES,
     Settings,
+    again,
     log_lines,
     print_json,
 )
@@ -106,6 +108,7 @@ def tune_command(
     ROUTES are files of lines (GeoJSON, KML, GPX) or tables of instances (.csv, .parquet), such as the
     study/instances.parquet of `jaxurban study`. Several DIRs, each with its ROUTES, are fitted together.
     """
+    fits = [f"{name}={value}" for name, value in fit.items() if name != "hold_out"]
     search = {name: fit.pop(name) for name in OF_SEARCH if name in fit}
     beside = fit.keys() - {"hold_out"}
     if wishes and beside:
@@ -117,6 +120,7 @@ def tune_command(
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.studies.reports.tuning import TuneSettings, run_tuning
     from jaxurban.studies.route_pool import FitSettings
+    from jaxurban.studies.tuning.tested import FitCommands
 
     # What decides the fit: ``routes`` holds all further options, which are of the routes, and gets the rules. A preset
     # that is not given is an empty text, and weights that the pilot does not name are 0.
@@ -125,14 +129,6 @@ def tune_command(
     if pilot is not None:
         no_weights = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
         pilot_weights = Weights.parse(pilot, no_weights)
-    settings = TuneSettings(
-        routes=values_given(routes),
-        sample=sample,
-        pilot=pilot_weights,
-        targets=wishes,
-        fits=fit,
-        fit=FitSettings(**search),
-    )
 
     # The files of each folder of maps; a folder begins a new list.
     files_of: dict[Path, list[Path]] = {}
@@ -141,6 +137,27 @@ def tune_command(
             files = files_of.setdefault(word, [])
         else:
             files.append(word)
+
+    # What fits again: these routes, of which more are held out, or routes that are drawn.
+    held_out = ",".join([*fits, "hold_out={share}"])
+    same_fit = f" --fit {','.join(fits)}" if fits else ""
+    more = ""
+    if sample or wishes:
+        files = [f"{file} " for file in chain(*files_of.values())]
+        more = again("-o ", "--fit ", "--sample ", *files) + same_fit
+        more += f" --sample {{needed}} -o {output}-{{needed}}"
+    commands = FitCommands(
+        f"{again('-o ', '--fit ')} --fit {held_out} -o {output}-tested", more, str(output)
+    )
+    settings = TuneSettings(
+        routes=values_given(routes),
+        sample=sample,
+        pilot=pilot_weights,
+        targets=wishes,
+        fits=fit,
+        fit=FitSettings(**search),
+        commands=commands,
+    )
     sources = {MapsFolder(folder, resolution_m): files for folder, files in files_of.items()}
     facts = run_tuning(sources, output, settings, overwrite=overwrite)
 

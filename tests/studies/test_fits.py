@@ -1,6 +1,5 @@
 """Weights fitted to routes and to targets: hidden weights come back, fits are tested, and what cannot be is said."""
 
-import re
 import tracemalloc
 from dataclasses import replace
 
@@ -15,10 +14,11 @@ from jaxurban.studies.demonstrations import (
     demonstration_from_line,
     optimal_demonstrations,
 )
+from jaxurban.studies.queries import weights_option
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.tuning.confidence import draw_counts
+from jaxurban.studies.tuning.confidence import draw_counts, without_dust
 from jaxurban.studies.tuning.target_fit import outcome_values
-from jaxurban.studies.tuning.tested import split, wish_conclusion
+from jaxurban.studies.tuning.tested import FEWEST_GROUPS, FitCommands, split, wish_verdicts
 from jaxurban.studies.tuning.tested import tested_outcomes as outcomes_of
 from tests.studies.routes_made import HIDDEN, NUM, cosine, made_queries, thinned
 
@@ -306,8 +306,7 @@ def test_targets_are_met_where_brute_force_meets_them_and_missed_where_it_does_n
     assert fit.sentence == (
         "All targets are met on the average of the routes that the weights were fitted to."
     )
-    kept = replace(fit, tested=fit.tested.assign(without_wish=1.0))
-    assert kept.sentence.startswith("All targets are met without the wish: keep the weights")
+    assert not fit.is_kept
     assert not fit.is_held_out.any()  # of so few
     assert not any(verdict.is_decided for verdict in fit.decided.verdicts)
     weights = np.array([[fit.weights[name] for name in fit.names]])
@@ -326,25 +325,59 @@ def test_targets_are_met_where_brute_force_meets_them_and_missed_where_it_does_n
     assert np.sum(fit.outcomes["missed_by"] ** 2) <= 1.02 * np.sum(missed**2, axis=1).min()
 
 
-def test_the_next_fit_to_a_wish_names_the_altitude_of_its_routes_only_where_all_have_one(small):
-    shown = [ju.cost_map(small, altitude_m) for altitude_m in (20.0, 60.0)]
-    low, high = (made_queries(unit, 3) for unit in shown)
-    targets = [Target.parse("mean_gps>=0.99")]
-    weights = np.tile(VECTOR, (2, 1))
-    for queries, named in ((low, True), ([*low, *high], False)):
-        tested = outcomes_of(queries, targets, weights)
-        decided = wish_conclusion(tested, targets, 0, queries, HIDDEN)
-        assert "jaxurban tune" in decided.next_command
-        assert ("--altitude 20 " in decided.next_command) == named
+def test_a_wish_that_the_weights_meet_leaves_them_and_is_tested_on_all_routes(small):
+    """Of 8 pairs of ends there is an interval, as nothing was fitted to any of them."""
+    queries = made_queries(ju.cost_map(small, 20.0), 8)
+    before = ju.Weights(distance=0.1, gps=2.0, lidar=1.0, population=0.0, risk=1.0)
+    fit = fit_targets(queries, ["mean_gps>=0.05", "mean_population<=0.9"], before=before)
+    assert fit.is_kept
+    assert fit.weights == before
+    assert fit.sentence == "All targets are met without the wish: keep the weights as they are."
+    assert fit.is_held_out.all()
+    assert (fit.tested.change == 0).all()
+    first, second = fit.decided.verdicts
+    assert first.sentence.startswith("mean_gps >= 0.05 is met without the wish already: 0.")
+    assert first.is_decided
+    assert second.is_decided
+    assert f"--weights {weights_option(before)}" in fit.decided.next_command
 
 
-def test_the_next_fit_to_a_wish_writes_to_a_folder_of_its_own(small):
-    queries = made_queries(ju.cost_map(small, 20.0), 3)
-    targets = [Target.parse("mean_gps>=0.99")]
+def test_a_wish_asks_for_more_routes_at_once_or_to_hold_out_more_of_them(small):
+    queries = made_queries(ju.cost_map(small, 20.0), 20)
+    targets = [Target.parse("mean_gps>=0.99"), Target.parse("mean_population<=0.2")]
     tested = outcomes_of(queries, targets, np.tile(VECTOR, (2, 1)))
-    command = wish_conclusion(tested, targets, 0, queries, HIDDEN).next_command
-    (num,) = re.findall(r"--sample (\d+) ", command)
-    assert command.endswith(f"-wish-{num}")
+    assert (tested.filter(like="with_wish_low") >= 0).all(axis=None)
+    how = {"is_tested": True, "is_kept": False}
+    for frame, is_tested, num in ((tested, False, FEWEST_GROUPS), (tested[:2], True, 0)):
+        verdicts, needed = wish_verdicts(frame, targets, **how | {"is_tested": is_tested})
+        assert len(verdicts) == 2
+        assert needed == num
+        assert verdicts[0].is_decided == is_tested
+    commands = FitCommands("hold out {share}", "draw {needed}", drawn=2.0)
+    assert commands.holding_out(8, 20) == "hold out 0.4"
+    assert commands.holding_out(8, 12) == "draw 64"  # a quarter of them, half of which are joined
+    assert commands.holding_out(30, 20, share=1.0) == "draw 60"
+    assert FitCommands("hold out {share}").holding_out(8, 12) == ""
+
+
+def test_a_fit_says_what_an_interval_takes_and_how_more_routes_are_held_out(demonstrations):
+    quick = {"bootstrap": 0, "settings": FitSettings(max_rounds=1)}
+    for num, lacking, share in ((12, "an interval takes 16 routes", ""), (16, "none was", "0.5")):
+        fit = fit_weights(demonstrations[:num], **quick)
+        assert lacking in fit.decided.facts["not decided"]
+        assert (f"hold_out={share})" in fit.decided.next_command) == bool(share)
+    assert "jaxurban sensitivity" in fit_weights(demonstrations[:12], **quick).decided.next_command
+
+
+def test_no_weight_that_counts_for_nothing_is_left_as_dust(queries):
+    pool = RoutePool(queries)
+    features = pool.cheapest(np.eye(3) + 0.1)[0, 0, 0]
+    weights = without_dust(np.array([1.0, 1e-9 / features[1], 0.3]), pool)
+    assert weights[1] == 0
+    assert weights.sum() == pytest.approx(1)
+    assert weights[0] / weights[2] == pytest.approx(1 / 0.3)
+    counting = without_dust(np.array([1e-8, 0.0, 0.0]), pool)
+    assert counting.tolist() == [1, 0, 0]
 
 
 @pytest.mark.slow

@@ -42,6 +42,7 @@ from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.study_demonstrations import demonstrations
 from jaxurban.studies.tuning.target import Target
 from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
+from jaxurban.studies.tuning.tested import FitCommands
 from jaxurban.studies.tuning.weight_fit import WeightFit, fit_weights
 
 TABLES = ("learning_curve", "weights", "examples", "targets", "tested")
@@ -62,6 +63,7 @@ class TuneSettings:
         the routes.
       fits: further arguments of `fit_weights` or `fit_targets`: hold_out, bootstrap.
       fit: settings of the search.
+      commands: what fits again.
     """
 
     routes: Mapping[str, Any]
@@ -70,6 +72,7 @@ class TuneSettings:
     targets: tuple[str, ...]
     fits: Mapping[str, Any]
     fit: FitSettings
+    commands: FitCommands
 
 
 def run_tuning(
@@ -131,7 +134,9 @@ def run_tuning(
                 fit = fit_weights(routes, **options, settings=settings_of_fit)
                 routes = list(compress(routes, ~fit.is_held_out))
 
-            # The routes under the fitted weights, and all files.
+            # The routes under the fitted weights, and all files. Of the routes that are drawn some have no path.
+            drawn = (settings.sample or fit.num_pairs) / fit.num_pairs
+            fit = replace(fit, commands=settings.commands._replace(drawn=drawn))
             report("routes under the fitted weights")
             planned = optimal_demonstrations([each.query for each in routes], fit.weights)
 

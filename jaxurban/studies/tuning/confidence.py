@@ -23,7 +23,9 @@ COMPETES = 0.1  # routes within this share of the cheapest are those that weight
 # Of the largest variance: a direction of W with less leaves every comparison as it is.
 UNSEEN = 1e-6
 MUCH = 0.1  # of the largest: a weight with such a part in a direction belongs to it
-LEAST_SHARE = 0.01  # of a random walk's features
+LEAST_COST = 0.01  # c of each step, of a route that avoids a metric altogether
+DUST = 1e-4  # a weight that adds a smaller share to the cost of every route is 0
+LEAST_WEIGHT = 1e-5  # of all weights: one that counts is not smaller
 
 
 class FitVerdict(Enum):
@@ -32,7 +34,7 @@ class FitVerdict(Enum):
     FOLLOWED = (
         "routes that the fit did not see cost {size} more than the cheapest under the weights ({n})"
     )
-    UNTESTED = "how much more than the cheapest other routes cost is open: {size} on {n}"
+    UNTESTED = "how much more than the cheapest other routes cost is open: {size} on {n}, {lacking}"
     WEIGHED = "the weight of {first} is {size}"
     CONSTANT = "{first} is the same everywhere on these maps: its weight cannot be identified and is left at 0"
     STEPS = (
@@ -172,11 +174,11 @@ def constant_layers(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
 def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray:
     """Return ``[K]`` the size of each feature: its mean over routes.
 
-    It is at least 1 % of the same feature of a random walk of the same length, which meets the mean cost of the free
-    cells at every step. This floor keeps weights finite where every demonstration avoids a cost altogether.
+    That of a metric is at least a cost of `LEAST_COST` at every step. This floor keeps weights finite where every
+    demonstration avoids a cost altogether.
 
     Args:
-      queries: of the routes; their maps give the mean costs.
+      queries: of the routes; their maps say how long a step is.
       demo: ``[Q, K]`` features of the routes, metres first.
     """
     # Steps of the mean route: cells, or reference lengths under the cost model ``line``.
@@ -185,13 +187,24 @@ def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray
     if first.cost_model.kind == "line":
         step_m = first.cost_model.reference_length_m
     num_steps = demo[:, 0].mean() / step_m
+    floor = np.full(demo.shape[1], LEAST_COST * num_steps)
+    floor[0] = 0.0  # the length has none
+    return np.maximum(demo.mean(axis=0), floor)
 
-    # The usual features of a random walk: the mean cost of the free cells, over all maps, at each step.
-    free_costs = [cost_map.costs[:, cost_map.is_free] for cost_map in maps_of(queries)]
-    means = [costs.astype(np.float64).mean(axis=1) for costs in free_costs]
-    usual = np.mean(means, axis=0) * num_steps
-    floor = np.maximum(LEAST_SHARE * usual, 1e-12)
-    return np.maximum(demo.mean(axis=0), np.append(0.0, floor))  # the length has no floor
+
+def without_dust(weights: np.ndarray, pool: RoutePool) -> np.ndarray:
+    """Return ``[K]`` weights that sum to 1; those that change the cost of no known route by `DUST` are 0.
+
+    Args:
+      weights: ``[K]`` of features in their own units.
+      pool: the known routes.
+    """
+    routes = pool.routes[0]
+    costs = routes[routes[..., 0] < NOT_A_ROUTE] * weights
+    shares = costs / np.maximum(costs.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    kept = np.maximum(weights / weights.sum(), LEAST_WEIGHT)
+    kept[shares.max(axis=0) < DUST] = 0.0
+    return kept / kept.sum()
 
 
 def indistinct_weights(

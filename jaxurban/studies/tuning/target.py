@@ -77,5 +77,9 @@ class Target:
         """1 where more is wished, -1 where less is."""
         return 1.0 if self.sense == ">=" else -1.0
 
+    def is_met(self, value: float) -> bool:
+        """Return whether an outcome of this value meets the target."""
+        return self.sign * (value - self.value) >= 0
+
     def __str__(self) -> str:
         return f"{self.outcome} {self.sense} {self.value:g}"

@@ -20,11 +20,13 @@ from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.programs import kept_jit
 from jaxurban.progress import Report, reporting
 from jaxurban.statistics.conclusions import Conclusion
+from jaxurban.studies.decided import USUAL_SHARE
 from jaxurban.studies.queries import (
     LENGTH,
     PEOPLE,
     RouteQuery,
     check_alike,
+    command_to_plan,
     outcomes_of,
     weights_from,
 )
@@ -34,10 +36,10 @@ from jaxurban.studies.route_pool import (
     draw_pairs,
     known_route_sums,
 )
-from jaxurban.studies.tuning.confidence import feature_units
+from jaxurban.studies.tuning.confidence import feature_units, without_dust
 from jaxurban.studies.tuning.fenchel_young import adam
 from jaxurban.studies.tuning.target import DETOUR, MEAN, Target
-from jaxurban.studies.tuning.tested import split, tested_outcomes, wish_conclusion
+from jaxurban.studies.tuning.tested import FitCommands, split, tested_outcomes, wish_verdicts
 
 FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step
 FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first to the last step
@@ -52,6 +54,8 @@ PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to
 PATIENCE = 3  # rounds that better nothing
 NUM_AT_ONCE = 64  # candidates judged at once, to bound memory
 MET = 0.02  # a target is met if it is missed by no more than this share
+LEAST_SHARE = 1e-3  # of the cost of a layer: as much as none where ratios of weights are compared
+IN_PYTHON = FitCommands("ju.fit.fit_targets(queries, targets, hold_out={share})")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +64,7 @@ class TargetFit:
 
     Attributes:
       names: ``"distance"`` and the metrics.
-      weights: they sum to 1.
+      weights: they sum to 1; where those without the wish meet all targets, these very weights.
       outcomes: a row per target: wished (its bound), shortest (what the shortest routes give), reached, missed_by
         (share of the bound), is_met; by planned routes, without noise.
       is_met: all targets are met within 2 %.
@@ -72,6 +76,8 @@ class TargetFit:
       tested: on those queries, or on all where none is held out: what routes are like without the wish and with it, a
         row per target and then per other outcome (`jaxurban.studies.tuning.tested.tested_outcomes`).
       queries: all ``Q``.
+      is_kept: nothing was fitted, as the weights without the wish meet all targets.
+      commands: what fits again.
 
     Examples:
       >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
@@ -92,25 +98,31 @@ class TargetFit:
     is_held_out: np.ndarray
     tested: pd.DataFrame
     queries: tuple[RouteQuery, ...]
+    is_kept: bool
+    commands: FitCommands = IN_PYTHON
+
+    @property
+    def num_pairs(self) -> int:
+        """Number of different pairs of ends of the queries."""
+        return len({(query.start, query.goal) for query in self.queries})
 
     @property
     def decided(self) -> Conclusion:
         """Whether the targets hold on other routes, and what the wish costs in every other layer."""
-        num = int(self.is_held_out.sum())
-        return wish_conclusion(self.tested, self.targets, num, self.queries, self.weights)
+        command = ""
+        verdicts, needed = wish_verdicts(
+            self.tested, self.targets, is_tested=bool(self.is_held_out.any()), is_kept=self.is_kept
+        )
+        if needed:
+            share = 1.0 if self.is_kept else USUAL_SHARE
+            command = self.commands.holding_out(needed, self.num_pairs, share)
+        return Conclusion(verdicts, command or command_to_plan(self.queries[0], self.weights))
 
     @property
     def sentence(self) -> str:
         """Whether all targets are met; if not, which are missed, and whether the budget ran out."""
-        sign = np.array([target.sign for target in self.targets])
-        bound = np.array([target.value for target in self.targets])
-        without = self.tested.without_wish.to_numpy()[: len(bound)]
-        if np.all(sign * (without - bound) >= 0):
+        if self.is_kept:
             return "All targets are met without the wish: keep the weights as they are."
-        if self.is_met and len(self.curve) == 1:
-            return (
-                "The first weights that were tried meet all targets on average: nothing was fitted."
-            )
         if self.is_met:
             return (
                 "All targets are met on the average of the routes that the weights were fitted to."
@@ -137,8 +149,10 @@ def fit_targets(
     The sum of squared misses (each as a share of its bound) is brought down by gradient in log weights, through the
     perturbed planner over the routes found so far, with noise that shrinks, from the best of many random weights.
     Routes under the best weights are then planned without noise, and more around them, until three rounds better
-    nothing; the best weights by planned routes are returned. A target that was missed may still be reachable, as the
-    search is not exact; whether it conflicts with another one, a fit to it alone says.
+    nothing; the best weights by planned routes are returned, of several that meet all targets those nearest to the
+    weights without the wish. If these meet all targets, they are returned and nothing is fitted. A target that was
+    missed may still be reachable, as the search is not exact; whether it conflicts with another one, a fit to it alone
+    says.
 
     Args:
       queries: from `jaxurban.studies.make_queries`; lists of several maps may be joined with ``+``.
@@ -149,7 +163,7 @@ def fit_targets(
       settings: of the search.
 
     Returns:
-      ``weights``, which `jaxurban.plan` takes and which sum to 1; ``is_met``, and ``sentence``, which names what is
+      ``weights``, which `jaxurban.plan` takes; ``is_met``, and ``sentence``, which names what is
       missed; ``outcomes``, a row per target: its bound, what the shortest routes give, and what was reached; and
       ``decided``, whether the targets hold on other routes and what the wish costs there (``tested``).
 
@@ -173,46 +187,38 @@ def fit_targets(
     wanted = _wanted(targets, names)
     group, _ = pd.factorize(pd.Series([(query.start, query.goal) for query in queries]))
     is_held_out = split(np.zeros(len(queries)), group, hold_out, settings.seed)
-    held_out = list(itertools.compress(queries, is_held_out))
-    every = tuple(queries)
-    queries = list(itertools.compress(queries, ~is_held_out))
-    pool = RoutePool(queries)
-
-    # [2, Q, K] features and integrals of the shortest routes, and the weights to begin with, under which each layer has
-    # an equal share of the cost of the shortest routes.
-    shortest = pool.cheapest(np.eye(len(names))[:1])[:, :, 0]
-    units = feature_units(queries, shortest[0])
-    first = 1 / units
-
-    with jax.enable_x64(True), reporting("fit", settings.progress) as report:
-        search = _Search(
-            pool,
-            wanted,
-            np.concatenate(shortest, axis=-1),
-            log_start=np.log(first / first.sum()),
-            settings=settings,
-            end_s=begin_s + settings.budget_s,
-            report=report,
-        )
-        search.explore()
-        best = search.run()
-        at_shortest = search.outcomes(search.shortest)
-    fitted = np.exp(best.log_weights)
-    fitted /= fitted.sum()
     without = (before or Weights()).vector(names)
+    with jax.enable_x64(True), reporting("fit", settings.progress) as report:
+        search_on = partial(
+            _Search.of, wanted, without, settings, begin_s + settings.budget_s, report
+        )
+
+        # Nothing is fitted where the weights without the wish meet all targets; none of the routes is fitted then.
+        search = search_on(queries)
+        best = search.planned(without)
+        is_kept = not np.any(best.missed)
+        if is_kept:
+            is_held_out = np.ones(len(queries), bool)
+        else:
+            search = search_on(list(itertools.compress(queries, ~is_held_out)))
+            search.explore()
+            best = search.run()
+        at_shortest = search.outcomes(search.shortest)
+    tested_on = list(itertools.compress(queries, is_held_out)) or queries
     return TargetFit(
         names=names,
-        weights=weights_from(queries[0], fitted),
+        weights=weights_from(queries[0], best.weights),
         outcomes=_outcome_table(wanted, best, at_shortest),
         is_met=bool(np.all(best.missed <= MET)),
         curve=pd.DataFrame(best.rows),
         is_in_budget=time.perf_counter() - begin_s <= settings.budget_s,
-        num_plans=pool.num_plans,
+        num_plans=search.pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
         targets=wanted,
         is_held_out=is_held_out,
-        tested=tested_outcomes(held_out or queries, wanted, np.stack([without, fitted])),
-        queries=every,
+        tested=tested_outcomes(tested_on, wanted, np.stack([without, best.weights])),
+        queries=tuple(queries),
+        is_kept=is_kept,
     )
 
 
@@ -262,12 +268,14 @@ class _Best(NamedTuple):
     """The best weights of a search so far.
 
     Attributes:
-      log_weights: ``[K]``.
+      weights: ``[K]``, not one of them dust (`without_dust`).
+      log_weights: ``[K]`` around which is searched further.
       reached: ``[N]`` the outcomes of the routes planned under them, of all targets.
       missed: ``[N]`` by which share of its bound each target is missed; inf before the first round.
       rows: a row per round; the list grows with the search.
     """
 
+    weights: np.ndarray
     log_weights: np.ndarray
     reached: np.ndarray
     missed: np.ndarray
@@ -280,10 +288,49 @@ class _Search(NamedTuple):
     pool: RoutePool
     targets: tuple[Target, ...]
     shortest: np.ndarray  # [Q, 2 K] features and integrals
-    log_start: np.ndarray  # [K]
+    # [K] log weights: with an equal share of the cost of the shortest routes for each layer, and without the wish, where
+    # a weight of 0 is one that counts for next to nothing.
+    log_start: np.ndarray
+    log_before: np.ndarray
     settings: FitSettings
     end_s: float
     report: Report
+
+    @classmethod
+    def of(
+        cls,
+        targets: tuple[Target, ...],
+        before: np.ndarray,
+        settings: FitSettings,
+        end_s: float,
+        report: Report,
+        queries: Sequence[RouteQuery],
+    ) -> "_Search":
+        """Return a search that knows the shortest route of each query alone; ``before`` are weights ``[K]``."""
+        pool = RoutePool(queries)
+        shortest = pool.cheapest(np.eye(len(before))[:1])[:, :, 0]
+        first = 1 / feature_units(queries, shortest[0])
+        shares = before / first
+        log_before = np.log(first * np.maximum(shares, LEAST_SHARE * (shares.max() or 1.0)))
+        log_start = np.log(first / first.sum())
+        sums = np.concatenate(shortest, axis=-1)
+        return cls(pool, targets, sums, log_start, log_before, settings, end_s, report)
+
+    @property
+    def aim(self) -> _Aim:
+        """What weights are judged by over the routes known so far."""
+        routes = jnp.asarray(np.concatenate(self.pool.routes, axis=-1))
+        bound = jnp.array([target.value for target in self.targets])
+        sign = jnp.array([target.sign for target in self.targets])
+        return _Aim(bound, sign, routes, self.shortest)
+
+    def planned(self, weights: np.ndarray) -> _Best:
+        """Return what routes that are planned under weights ``[K]`` reach and miss, as the first round."""
+        sums = self.pool.cheapest(weights[None])[:, :, 0]
+        reached = self.outcomes(np.concatenate(sums, axis=-1))
+        missed = np.asarray(_missed(reached, self.aim))
+        row = {"round": 0, "loss": float(np.sum(missed**2)), "num_plans": self.pool.num_plans}
+        return _Best(weights, self.log_before, reached, missed, [row])
 
     def run(self) -> _Best:
         """Return the best weights for the targets.
@@ -292,10 +339,6 @@ class _Search(NamedTuple):
         best ends of the descents, and searches around the best weights so far. It ends after the settings' rounds, when
         no target is missed, when three rounds better nothing, or when the time is over.
         """
-        # [T] of each target 1 for at least or -1 for at most, and its bound.
-        sign = jnp.array([target.sign for target in self.targets])
-        bound = jnp.array([target.value for target in self.targets])
-
         # Random numbers. Candidates spread ever less around the best weights, and
         # probes ever more: a standard deviation of the log weights for each of them, [C, 1] and [P, 1].
         rng = np.random.default_rng(self.settings.seed)
@@ -307,14 +350,14 @@ class _Search(NamedTuple):
         # Before the first round nothing is reached, and every target is missed by inf.
         unreached = np.full(len(self.targets), np.inf)
         rows: list[dict] = []
-        best = _Best(self.log_start, unreached, unreached, rows)
+        best = _Best(unreached, self.log_before, unreached, unreached, rows)
 
         for number in range(self.settings.max_rounds):
             # Candidates, judged over the known routes, and descents from the best of them.
-            routes = jnp.asarray(np.concatenate(self.pool.routes, axis=-1))
-            aim = _Aim(bound, sign, routes, self.shortest)
+            aim = self.aim
             anywhere = best.log_weights + spread * rng.normal(size=(NUM_CANDIDATES, num_weights))
-            candidates = np.vstack([best.log_weights, self.log_start, self._corners(), anywhere])
+            usual = self.log_before, self.log_start, self._corners()
+            candidates = np.vstack([best.log_weights, *usual, anywhere])
             starts = self._least(candidates, NUM_STARTS, aim)
             descended = _descend(
                 jnp.asarray(starts), noises, aim, names=self.pool.names, targets=self.targets
@@ -322,11 +365,9 @@ class _Search(NamedTuple):
 
             # The best of the weights by routes that are planned under them, with features and integrals [2, Q, K].
             for log_weights in self._least(np.concatenate([descended, starts]), NUM_TRIED, aim):
-                sums = self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0]
-                reached = self.outcomes(np.concatenate(sums, axis=-1))
-                missed = np.asarray(_missed(reached, aim))
-                if np.sum(missed**2) < np.sum(best.missed**2):
-                    best = _Best(log_weights, reached, missed, rows)
+                tried = self.planned(without_dust(np.exp(log_weights), self.pool))
+                if np.sum(tried.missed**2) < np.sum(best.missed**2):
+                    best = tried._replace(log_weights=log_weights, rows=rows)
 
             # The round as a row of the curve.
             row = {
@@ -347,11 +388,15 @@ class _Search(NamedTuple):
         return best
 
     def _least(self, candidates: np.ndarray, num: int, aim: _Aim) -> np.ndarray:
-        """Return ``[num, K]`` the log weights, of ``[S, K]``, whose cheapest known routes miss least."""
+        """Return ``[num, K]`` the log weights, of ``[S, K]``, whose cheapest known routes miss least.
+
+        Those that miss as little are in the order of their ratios' distance to the weights without the wish.
+        """
         misses = _known_misses(
             jnp.asarray(candidates), aim, names=self.pool.names, targets=self.targets
         )
-        return candidates[np.argsort(np.asarray(misses), kind="stable")[:num]]
+        away = np.std(candidates - self.log_before, axis=1)
+        return candidates[np.lexsort((away, np.asarray(misses)))[:num]]
 
     def explore(self) -> None:
         """Fill the pool with routes under weights of all kinds."""

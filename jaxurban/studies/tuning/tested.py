@@ -1,42 +1,75 @@
-"""Routes that weights are not fitted to: which they are, and what a wish costs on them."""
+"""Routes that weights are not fitted to: which they are, what a wish costs on them, and which fit has more of them."""
 
+import math
 from collections.abc import Sequence
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
-from jaxurban.metrics.weights import Weights
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters, interval_columns
-from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, runs_needed
+from jaxurban.statistics.conclusions import Verdict, runs_needed
 from jaxurban.studies.decided import FEWEST_TO_HOLD_OUT, USUAL_SHARE, effects
 from jaxurban.studies.queries import (
     LENGTH,
     PEOPLE,
     RouteQuery,
-    command_to_plan,
     outcome_label,
     outcomes_of,
 )
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.tuning.target import DETOUR, Target
+from jaxurban.studies.tuning.target import DETOUR, MEAN, Target
 
 SPLIT = 0  # stream of random numbers
 MOST_HELD_OUT = 0.9
+MOST_ASKED = 0.5  # share that a further fit holds out: of more routes are needed
 PAIRS = "pairs of ends"
+OF_PEOPLE = f"{MEAN}population"
 UNITS = {LENGTH: "m", PEOPLE: "times the shortest routes'", DETOUR: "above the shortest routes"}
 
 
 class WishVerdict(Enum):
     """What is decided of a wish."""
 
-    BEFORE = "{first} is met without the wish already: {size} on average of {n}"
+    BEFORE = "{first} is met without the wish already: {size} ({n})"
     HOLDS = "{first} holds on routes that the weights were not fitted to: {size} ({n})"
     MISSED = "{first} is missed on routes that the weights were not fitted to: {size} ({n})"
     OPEN = "whether {first} holds on other routes is open: {size} on {n}"
+    SEEN = (
+        "whether {first} holds on other routes is open: {size} on {n}, of which none was held out"
+    )
     COSTS = "with the wish {first} changes by {size}, on one route by {largest:.3g} ({n})"
     UNSEEN = "whether {first} changes with the wish is open: {size} on {n}"
+
+
+class FitCommands(NamedTuple):
+    """What fits again, as text; of a fit in Python its calls.
+
+    Attributes:
+      again: the same routes, of which ``{share}`` are held out.
+      more: ``{needed}`` routes that are drawn; empty where routes are only as they were given.
+      folder: beside which further studies are kept; empty: the folder of the maps.
+      drawn: how many routes are drawn for each pair of ends that some path joins.
+    """
+
+    again: str
+    more: str = ""
+    folder: str = ""
+    drawn: float = 1.0
+
+    def holding_out(self, needed: float, num_pairs: int, share: float = USUAL_SHARE) -> str:
+        """Return the command of a fit that is tested on as many pairs of ends as are needed; empty where none is known.
+
+        Args:
+          needed: pairs of ends.
+          num_pairs: that the fit had, held out or not.
+          share: of those of a larger fit that it is tested on.
+        """
+        if needed <= MOST_ASKED * num_pairs:
+            return self.again.replace("{share}", f"{math.ceil(100 * needed / num_pairs) / 100:g}")
+        return self.more.replace("{needed}", f"{math.ceil(self.drawn * needed / share)}")
 
 
 def split(city: np.ndarray, group: np.ndarray, share: float | None, seed: int) -> np.ndarray:
@@ -95,12 +128,14 @@ def tested_outcomes(
     rows = np.vstack([np.eye(len(names))[:1], weights])
     values = outcomes_of(RoutePool(queries).cheapest(rows)[1], names)
     if PEOPLE in values:
+        values[OF_PEOPLE] = values[PEOPLE] / values[LENGTH]
         values[PEOPLE] = values[PEOPLE] / max(float(values[PEOPLE][:, 0].mean()), 1e-9)
-    values = {DETOUR: values[LENGTH] / values[LENGTH][:, :1] - 1, **values}
+    others = [name for name in values if name != OF_PEOPLE]
+    values[DETOUR] = values[LENGTH] / values[LENGTH][:, :1] - 1
 
     # Every outcome with the wish, and its change; queries between the same cells are drawn together.
     wished = [target.outcome for target in targets]
-    outcomes = [*wished, *(name for name in values if name not in (*wished, DETOUR))]
+    outcomes = [*wished, *(name for name in others if name not in wished)]
     _, before, after = np.transpose([values[name] for name in outcomes], (2, 0, 1))
     changes = after - before
     group, _ = pd.factorize(pd.Series([(query.start, query.goal) for query in queries]))
@@ -112,6 +147,9 @@ def tested_outcomes(
     for number, target in enumerate(targets):
         size, low, high = reached[number] - target.value
         needed[number] = runs_needed(size, low, high, num[number])
+    # No outcome is below 0, and no mean of m above 1.
+    most = [[1.0 if name.startswith(MEAN) else np.inf] for name in outcomes]
+    reached = np.clip(reached, 0.0, most)
     return pd.DataFrame(
         {
             "what": [*map(str, targets), *outcomes[len(targets) :]],
@@ -126,59 +164,50 @@ def tested_outcomes(
     )
 
 
-def wish_conclusion(
-    tested: pd.DataFrame,
-    targets: Sequence[Target],
-    num_held_out: int,
-    queries: Sequence[RouteQuery],
-    weights: Weights,
-) -> Conclusion:
-    """Return what a fit to targets decided.
+def wish_verdicts(
+    tested: pd.DataFrame, targets: Sequence[Target], *, is_tested: bool, is_kept: bool
+) -> tuple[tuple[Verdict, ...], float]:
+    """Return what a fit to targets decided, and how many pairs of ends, held out, would decide more; 0: none.
 
     Args:
       tested: from `tested_outcomes`.
       targets: of the fit.
-      num_held_out: routes of the test that the fit did not see; 0: it saw all, so that nothing is decided.
-      queries: all, held out or not.
-      weights: of the fit.
+      is_tested: on routes that the fit did not see; else nothing is decided.
+      is_kept: nothing was fitted, as the weights without the wish meet all targets.
     """
-    met = []
     verdicts = []
     for number, row in enumerate(tested.to_dict("records")):
-        needed = row["needed"]
-        if not num_held_out:
-            needed = max(needed, FEWEST_TO_HOLD_OUT)
         name = "change"
         label = outcome_label(row["what"])
+        needed = row["needed"]
         kind = WishVerdict.UNSEEN if needed else WishVerdict.COSTS
         if number < len(targets):
-            target = targets[number]
-            name, label = "with_wish", str(target)
-            is_kept = target.sign * (row[name] - target.value) > 0
-            kind = WishVerdict.HOLDS if is_kept else WishVerdict.MISSED
-            if needed:
-                kind = WishVerdict.OPEN
-            before = row["without_wish"]
-            if target.sign * (before - target.value) >= 0:
-                already = before, np.nan, np.nan, row["n"], row["unit"], PAIRS
-                few = FEWEST_GROUPS if row["n"] < FEWEST_GROUPS else 0
-                met.append(Verdict(WishVerdict.BEFORE, (label,), *already, few))
+            name, label = "with_wish", str(targets[number])
+            kind = _kind_of(targets[number].is_met(row[name]), needed, is_kept)
+        elif is_kept or not is_tested:
+            break
         size, low, high = (row[column] for column in interval_columns(name))
+        if not is_tested:  # an interval of routes that were fitted says nothing of others
+            kind, low, high, needed = WishVerdict.SEEN, np.nan, np.nan, np.nan
         facts = {"largest": row["largest"]}
         about = size, low, high, row["n"], row["unit"], PAIRS, needed, facts
         verdicts.append(Verdict(kind, (label,), *about))
-    cost_map = queries[0].cost_map
-    altitudes_m = {query.cost_map.altitude_m for query in queries}
-    altitude = f"--altitude {cost_map.altitude_m:g} " if len(altitudes_m) == 1 else ""
-    wishes = " ".join(f'--wish "{target}"' for target in targets)
-    metrics = ",".join(cost_map.names)
-    folder = cost_map.maps.folder or "DIR"
-    # A folder of its own for each number of routes, as one that holds another fit is refused.
-    output = f"{folder}-wish-{{needed}}"
-    return concluded(
-        [*met, *verdicts],
-        more=f"jaxurban tune {folder} --sample {{needed}} {wishes} --metrics {metrics} "
-        f"{altitude}-o {output}",
-        factor=len(queries) / (num_held_out or len(queries)),
-        done=command_to_plan(queries[0], weights),
-    )
+    open_needs = [each.needed for each in verdicts if 0 < each.needed < np.inf]
+    if not is_tested:
+        open_needs = [FEWEST_GROUPS]
+    return tuple(verdicts), min(open_needs, default=0.0)
+
+
+def _kind_of(is_met: bool, needed: float, is_kept: bool) -> WishVerdict:
+    """Return what is decided of a target on routes that the weights were not fitted to.
+
+    Args:
+      is_met: on their average.
+      needed: further pairs of ends that would decide it.
+      is_kept: nothing was fitted.
+    """
+    if needed:
+        return WishVerdict.OPEN
+    if not is_met:
+        return WishVerdict.MISSED
+    return WishVerdict.BEFORE if is_kept else WishVerdict.HOLDS

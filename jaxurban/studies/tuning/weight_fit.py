@@ -17,23 +17,35 @@ from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters, Interval
 from jaxurban.statistics.conclusions import Conclusion, Verdict
 from jaxurban.studies.decided import FEWEST_TO_HOLD_OUT
 from jaxurban.studies.demonstrations import Demonstration
-from jaxurban.studies.queries import RouteQuery, check_alike, command_to_plan, maps_of, weights_from
+from jaxurban.studies.queries import (
+    RouteQuery,
+    check_alike,
+    command_to_plan,
+    command_to_vary,
+    maps_of,
+    weights_from,
+)
 from jaxurban.studies.route_pool import FitSettings, RoutePool
-from jaxurban.studies.tuning.confidence import FitVerdict, constant_layers, indistinct_weights
+from jaxurban.studies.tuning.confidence import (
+    FitVerdict,
+    constant_layers,
+    indistinct_weights,
+    without_dust,
+)
 from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
-from jaxurban.studies.tuning.tested import split
+from jaxurban.studies.tuning.tested import FitCommands, split
 from jaxurban.studies.tuning.weight_fit_rounds import (
     FitUnderWay,
     city_numbers,
     refitted,
     run_rounds,
-    scaled,
     searched_regret,
 )
 
 # Demonstrations above it on average are not optimal under any weights. Of lines that were redrawn, what redrawing adds
 # is left out first; among routes at any angle another one is the cheapest than on the grid, by less than the second.
 OPTIMAL_REGRET, OPTIMAL_DRAWN_REGRET = 0.005, 0.01
+IN_PYTHON = FitCommands("ju.fit.fit_weights(demonstrations, hold_out={share})")
 FEW = 2  # demonstrations per weight
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
@@ -69,7 +81,9 @@ class WeightFit:
       tested: by which share these cost more than the cheapest ones on average, with its interval over pairs of ends
         (some 90 %, as regrets are skewed), bad ones left out; NaN where there are none.
       num_tested: pairs of ends that this rests on.
+      num_held_out, num_pairs: pairs of ends that were held out, and of all demonstrations.
       query: of the first demonstration, which an example of the weights' use plans.
+      commands: what fits again.
 
     Examples:
       >>> routes = ju.fit.demonstrations(path, maps)
@@ -96,7 +110,10 @@ class WeightFit:
     is_held_out: np.ndarray
     tested: Interval
     num_tested: int
+    num_held_out: int
+    num_pairs: int
     query: RouteQuery
+    commands: FitCommands = IN_PYTHON
 
     @property
     def vector(self) -> np.ndarray:
@@ -111,22 +128,41 @@ class WeightFit:
     @property
     def decided(self) -> Conclusion:
         """How far routes that were held out follow the weights, which of these are known, and which are not."""
-        needed = 0.0
         tested = self.tested if self.num_tested else Interval(self.regret.mean(), np.nan, np.nan)
         size, low, high = (100 * np.array(tested)).tolist()
-        if np.isnan(low):
-            needed = FEWEST_GROUPS if self.num_tested else FEWEST_TO_HOLD_OUT
-        kind = FitVerdict.UNTESTED if needed else FitVerdict.FOLLOWED
         num = self.num_tested or len(self.regret)
-        verdicts = [Verdict(kind, (), size, low, high, num, "%", needed=needed)]
+        command = ""
+        if np.isnan(low):
+            # As many pairs of ends as have an interval, beside the outliers, which do not count.
+            needed = max(FEWEST_GROUPS, self.num_tested + 1) + self.num_held_out - self.num_tested
+            facts = {"lacking": self._lacking(needed)}
+            verdicts = [
+                Verdict(FitVerdict.UNTESTED, (), size, n=num, unit="%", needed=np.nan, facts=facts)
+            ]
+            command = self.commands.holding_out(needed, self.num_pairs)
+        else:
+            verdicts = [Verdict(FitVerdict.FOLLOWED, (), size, low, high, num, "%")]
 
         # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
         unknown = {name for verdict in self.verdicts for name in verdict.what}
         table = self.table.sort_values("share_of_cost", ascending=False)
-        known = table[(table.low > 0) & ~table.index.isin(unknown)]
+        known = table[np.isfinite(table.high) & ~table.index.isin(unknown)]
         verdicts += [_weight_verdict(FitVerdict.WEIGHED, row) for row in known.itertuples()]
         verdicts += self.verdicts
-        return Conclusion(tuple(verdicts), command_to_plan(self.query, self.weights))
+
+        # Where no further fit decides more: whether what is open matters to routes, else what the weights are for.
+        if not command and not all(each.is_decided for each in verdicts):
+            folder = self.commands.folder or str(self.query.cost_map.maps.folder or "DIR")
+            command = command_to_vary(self.query, self.weights, f"{folder}-weights")
+        return Conclusion(tuple(verdicts), command or command_to_plan(self.query, self.weights))
+
+    def _lacking(self, needed: int) -> str:
+        """Return what an interval of the regret of other routes takes, in words; ``needed`` pairs of ends held out."""
+        if self.num_pairs < FEWEST_TO_HOLD_OUT:
+            return f"and an interval takes {FEWEST_TO_HOLD_OUT} routes"
+        if not self.num_held_out:
+            return "of which none was held out"
+        return f"and an interval takes {needed} pairs of ends that are held out"
 
     @property
     def cautions(self) -> list[str]:
@@ -206,23 +242,24 @@ def fit_weights(
     left_out = _left_out(constant, queries)
     is_fitted = np.array([name not in left_out for name in names])
 
-    # The rounds, then the regret [Q] of each demonstration, the least mean regret of any weights, and refits for the
-    # intervals.
+    # The rounds, the weights [K] without dust, then the regret [Q] of each demonstration, the least mean regret of any
+    # weights, and refits for the intervals.
     fit = FitUnderWay(demonstrations, is_fitted, settings)
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         curve, is_settled = run_rounds(fit, settings, begin_s, report)
-        regret = searched_regret(fit.pool, fit.demo, fit.weights)
+        weights = without_dust(fit.weights, fit.pool)
+        regret = searched_regret(fit.pool, fit.demo, weights)
         best = fit.least_mean_regret(float(regret.mean()))
         draws, interval = refitted(fit, bootstrap)
 
     # What each weight costs on average, and how much that differs between demonstrations.
-    cost = fit.weights * fit.demo.mean(axis=0)
-    spread = fit.weights * fit.demo.std(axis=0)
+    cost = weights * fit.demo.mean(axis=0)
+    spread = weights * fit.demo.std(axis=0)
     table = pd.DataFrame(
         {
-            "weight": scaled(fit.weights),
-            "low": interval[0],
-            "high": interval[1],
+            "weight": weights,
+            "low": np.minimum(interval[0], weights),
+            "high": np.maximum(interval[1], weights),
             "share_of_cost": cost / cost.sum(),
             "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),  # 0 / 0 is 0
         },
@@ -234,11 +271,12 @@ def fit_weights(
     for name in constant:
         kind = FitVerdict.CONSTANT if name in left_out else FitVerdict.STEPS
         open_weights.append(Verdict(kind, (name,), needed=np.inf))
-    open_weights += _wide_weights(table.drop(index=list(constant)))
-    open_weights += indistinct_weights(fit.pool, fit.unit, fit.weights, is_fitted)
+    is_felt = table.high * fit.unit > NEGLIGIBLE * (weights @ fit.unit)
+    open_weights += _wide_weights(table[is_felt & ~table.index.isin(constant)])
+    open_weights += indistinct_weights(fit.pool, fit.unit, weights, is_fitted)
     # The regret without what redrawing on the grid adds: that of the cheapest route near each demonstration.
-    near = np.array([each.cheapest_near(fit.weights) for each in demonstrations])
-    near_regret = (1 + regret) * (near @ fit.weights) / (fit.demo @ fit.weights) - 1
+    near = np.array([each.cheapest_near(weights) for each in demonstrations])
+    near_regret = (1 + regret) * (near @ weights) / (fit.demo @ weights) - 1
     drawn_cells = [each.drawn_cells for each in demonstrations]
     bar = float(np.where(drawn_cells, OPTIMAL_DRAWN_REGRET, OPTIMAL_REGRET).mean())
     metric_share = 1 - table.share_of_cost["distance"]
@@ -253,6 +291,8 @@ def fit_weights(
         demo = np.array([each.features for each in held_out])
         held_out_regret = searched_regret(pool, demo, fitted.vector(names))
     is_tested = trust_of(held_out_regret, usual_regret(regret)) >= DISTRUSTED
+    num_held_out = len(np.unique(group[is_held_out]))
+    num_pairs = len(np.unique(group))
     group, city = (each[is_held_out][is_tested] for each in (group, city))
     return WeightFit(
         names=names,
@@ -272,6 +312,8 @@ def fit_weights(
         is_held_out=is_held_out,
         tested=Clusters(group, city, settings.seed).interval(held_out_regret[is_tested]),
         num_tested=len(np.unique(group)),
+        num_held_out=num_held_out,
+        num_pairs=num_pairs,
         query=queries[0],
     )
 
