@@ -288,8 +288,8 @@ class _Search(NamedTuple):
     pool: RoutePool
     targets: tuple[Target, ...]
     shortest: np.ndarray  # [Q, 2 K] features and integrals
-    # [K] log weights: with an equal share of the cost of the shortest routes for each layer, and without the wish, where
-    # a weight of 0 is one that counts for next to nothing.
+    # [K] log weights: with an equal share of the cost of the shortest routes for each layer, and without the wish,
+    # where a weight of 0 is one that counts for next to nothing.
     log_start: np.ndarray
     log_before: np.ndarray
     settings: FitSettings
