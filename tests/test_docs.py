@@ -37,6 +37,7 @@ from jaxurban.public import NAMESPACES, PICTURES, TYPES
 from jaxurban.settings import Planning
 from jaxurban.terminal.common import GIVEN, MAPS_PATH
 from tests.cli_runs import run
+from tests.io.test_ephemerides import yuma_of
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "notebooks"
@@ -114,6 +115,7 @@ def prepared(tmp_path_factory) -> Path:
     pd.DataFrame({"GEOID10": ids, "P001001": [400, 1200]}).to_csv(
         folder / "population.csv", index=False
     )
+    (folder / "current.alm").write_text(yuma_of(5))
     ends = [
         -74.016,
         40.704,

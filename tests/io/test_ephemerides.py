@@ -2,6 +2,7 @@
 
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,13 @@ from tests.guess_records import by_name
 from tests.io.test_orbits import TLE
 from tests.made_files import refused
 from tests.receivers.test_rinex import (
+    ANOMALY,
+    ECCENTRICITY,
+    INCLINATION,
     NAV,
+    NODE,
+    PERIGEE,
+    SEMI_AXIS_ROOT,
     TOE_S,
     UNDER_LAT_DEG,
     UNDER_LON_DEG,
@@ -42,6 +49,27 @@ def places_m(satellite, tows_s) -> np.ndarray:
     """Return places in the frame that turns with Earth."""
     times = TIMESCALE.from_datetimes([utc_of(tow_s).to_pydatetime() for tow_s in tows_s])
     return satellite.at(times).frame_xyz(itrs).m.T
+
+
+def yuma_of(number: int) -> str:
+    """Return the made orbit as a YUMA almanac."""
+    fields = {
+        "ID": f"{number:02d}",
+        "Health": "000",
+        "Eccentricity": ECCENTRICITY,
+        "Time of Applicability(s)": TOE_S,
+        "Orbital Inclination(rad)": INCLINATION,
+        "Rate of Right Ascen(r/s)": -8e-9,
+        "SQRT(A)  (m 1/2)": SEMI_AXIS_ROOT,
+        "Right Ascen at Week(rad)": NODE,
+        "Argument of Perigee(rad)": PERIGEE,
+        "Mean Anom(rad)": ANOMALY,
+        "Af0(s)": 1e-4,
+        "Af1(s/s)": 0.0,
+        "week": WEEK,
+    }
+    head = f"******** Week {WEEK % 1024} almanac for PRN-{number:02d} ********\r\n"
+    return head + "".join(f"{name + ':':<27} {value}\r\n" for name, value in fields.items())
 
 
 def written(folder, text, name="orbits"):
@@ -173,3 +201,22 @@ def test_without_sidereon_the_extra_is_named(tmp_path, monkeypatch, text):
     monkeypatch.setitem(sys.modules, "sidereon", None)
     with pytest.raises(InputError, match=re.escape("pip install 'jaxurban[receiver]'")):
         read_orbits(written(tmp_path, text))
+
+
+def test_the_lines_of_the_page_on_formats_make_element_sets_of_an_almanac(tmp_path, monkeypatch):
+    page = Path(ju.__file__).parents[1] / "docs/guides/formats.md"
+    (lines,) = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path, yuma_of(5) + "\r\n" + yuma_of(6).replace(" 000", " 063"), "current.alm")
+    with pytest.raises(InputError, match="a YUMA almanac: make element sets of it with the lines"):
+        read_orbits("current.alm")
+    exec(lines, {})
+    (satellite,) = read_orbits("gps.csv").satellites  # the other one is unhealthy
+    assert satellite.name == "GPS (PRN 05)"
+    for days, most_deg in ((0.0, 0.1), (0.3, 0.1), (1.0, 0.1), (3.5, 0.3), (7.0, 0.3)):
+        tow_s = TOE_S + 86_400 * days
+        x, y, z = orbit_m(tow_s)
+        angle = -8e-9 * 86_400 * days  # of the node, which the closed form keeps
+        x, y = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
+        away_m = np.linalg.norm(places_m(satellite, [tow_s])[0] - [x, y, z])
+        assert np.degrees(away_m / 20_200e3) < most_deg
