@@ -56,7 +56,7 @@ FORMATS = {
     '\'BEGIN {print "utc,lon_deg,lat_deg"} !/^%/ {gsub("/", "-", $1); print $1 "T" $2 "Z," $4 "," $3}\' '
     "FILE > track.csv`",
     rb"\d+ +\S+\.(?i:alm|al3)?\s*\n *\d+ +\d+\s*\n": "a SEM almanac: take the YUMA almanac of the "
-    "same week, which navcen.uscg.gov holds beside it, and make element sets of that with the lines under 'Almanacs' in "
+    "same week, which navcen.uscg.gov holds too, and make element sets of that with the lines under 'Almanacs' in "
     "docs/guides/formats.md; or take broadcast RINEX or SP3 of that day, which igs.bkg.bund.de holds",
     rb"\*+ *Week +\d+ +almanac": "a YUMA almanac: make element sets of it with the lines under 'Almanacs' in "
     "docs/guides/formats.md; or take broadcast RINEX or SP3 of that day, which igs.bkg.bund.de holds",

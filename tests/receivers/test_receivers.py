@@ -293,8 +293,14 @@ def test_a_log_without_satellites_is_a_track_and_says_so(tmp_path):
         (b"\xb5b\x02\x15\x00" + nmea_of(TABLE).encode(), "UBX .*`convbin -r ubx "),
         (b"\x1f\x9d\x90abc", "Unix compress: unpack it with `gzip -dS .Z"),
         (b"% program   : RTKLIB ver.2.4.2\n% obs start : 2023\n", "RTKLIB: .*rnx2rtkp -u.*awk"),
-        (b"31 CURRENT.ALM\n 682 233472\n\n1\n63\n", "SEM almanac: take the YUMA almanac of the same week"),
-        (b"******** Week 682 almanac for PRN-01 ********\n", "YUMA almanac: .* lines under 'Almanacs' in docs/guides/formats.md"),
+        (
+            b"31 CURRENT.ALM\n 682 233472\n\n1\n63\n",
+            "SEM almanac: take the YUMA almanac of the same week",
+        ),
+        (
+            b"******** Week 682 almanac for PRN-01 ********\n",
+            "YUMA almanac: .* lines under 'Almanacs' in docs/guides/formats.md",
+        ),
         (b"     3.03           OBSERVATION DATA    M\n", "read as a log"),
         (b"3.0                 COMPACT RINEX FORMAT\n\xff\x00", "read as a log"),
         (gzip.compress(nmea_of(TABLE).encode())[:-20], "read as a log|damaged"),
