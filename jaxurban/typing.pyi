@@ -3,6 +3,7 @@ from jaxurban.flights.return_altitude import ReturnAltitude as ReturnAltitude
 from jaxurban.maps.differentiable import SoftCity as SoftCity
 from jaxurban.metrics.protection import IntegritySupport as IntegritySupport
 from jaxurban.paths.cost_map import CostMap as CostMap
+from jaxurban.paths.cost_map import LineCost as LineCost
 from jaxurban.paths.path import PlannedPath as PlannedPath
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths
 from jaxurban.paths.route_report import OverflownDensity as OverflownDensity

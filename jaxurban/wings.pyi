@@ -14,4 +14,5 @@ from jaxurban.flights.airspace import read_zones as read_zones
 from jaxurban.flights.export.write import FORMATS as FORMATS
 from jaxurban.flights.export.write import write_path as write_path
 from jaxurban.flights.missions.mission import read_flight as read_flight
+from jaxurban.flights.missions.mission import read_way as read_way
 from jaxurban.flights.return_altitude import return_altitude as return_altitude

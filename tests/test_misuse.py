@@ -34,6 +34,7 @@ MADE = (  # what functions return; XY is looked at where it is used
     *(
         "MetricMaps",
         "CostMap",
+        "LineCost",
         "MapComparison",
         "OverflownDensity",
         "PlannedPath",
@@ -63,7 +64,8 @@ METHODS = {  # of what they return
         "plot",
         "save",
     ),
-    "CostMap": ("only", "plan"),
+    "CostMap": ("only", "plan", "cost_of"),
+    "Clusters": ("interval",),
     "MapComparison": ("save",),
     "PlannedPath": ("save",),
     "PlannedPaths": ("save", "to_dataframe"),
@@ -116,6 +118,10 @@ PLAIN = {
         "log": "no-such.csv",
     },
     **{
+        "line": [START, GOAL],
+        "groups": np.arange(9),
+        "values": np.arange(9.0),
+        "Clusters": ju.studies.Clusters(np.arange(9)),
         "sample_instances.num": 1,
         "study.instances": 1,
         "sensitivity.routes": 1,
@@ -206,7 +212,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ((1e300, 0.0), "start goal reference centre_lonlat place home"),
     ([(1e300, 0.0)], "places"),
     ("now", "time MetricMaps.m.time stop"),
-    ("no/such/place", "folder maps maps_a maps_b path file study where check.sources"),
+    ("no/such/place", "folder line maps maps_a maps_b path file study where check.sources"),
     ("/proc/none", "MetricMaps.save.folder study.folder sensitivity.folder"),
     (
         "no-such.file",
@@ -218,7 +224,7 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
     ((1.0, 2.0, 3.0, 4.0, 5.0), "scale field_of_view_deg bounds"),
     ({}, "cities sources"),
     ([], "queries demonstrations paths targets times"),
-    (-1, "seed height_samples num_heights bootstrap routes instances"),
+    (-1, "seed height_seed height_samples num_heights bootstrap routes instances"),
     (
         0,
         "max_rounds num num_segments num_threads workers budget_iterations max_samples oversample num_rows "

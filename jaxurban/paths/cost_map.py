@@ -1,12 +1,14 @@
 """CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Unpack
+from pathlib import Path
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
+from jaxurban import wings
 from jaxurban.checks import one_of, typed
 from jaxurban.errors import InputError
 from jaxurban.maps.levels import Levels, around, listed_m
@@ -14,9 +16,9 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.variables import ROOF_KIND
 from jaxurban.metrics.weights import Weights, WeightsLike, weights_on
 from jaxurban.paths.choices import SearchChoice
-from jaxurban.paths.closed import causes_at, closed_facts
+from jaxurban.paths.closed import CAUSES, causes_at, closed_facts
 from jaxurban.paths.constraints import Constraints, describe_kept
-from jaxurban.paths.finish import plan_on
+from jaxurban.paths.finish import measured, plan_on
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.paths.search import PathSearch
@@ -31,6 +33,34 @@ NOT_THE_PAPER = (
     "The paper's preset knows buildings alone, and these maps hold other kinds of obstacles too: to compare, make them "
     'with [obstacles] kinds = ["building"].'
 )
+
+
+class LineCost(NamedTuple):
+    """What a line costs, and where no route may fly as it does.
+
+    Attributes:
+      cost: as of a path, under the map's weights and cost model. Closed cells count with what their layers cost, the
+        most where the maps have no value.
+      cost_by_layer: parts of ``cost``: "distance" and each metric.
+      length_m: in plan.
+      metrics: mean of each metric m along the line, by name.
+      closed_m: metres in cells that are closed to routes, by cause (`jaxurban.paths.closed.CAUSES`).
+      is_free: whether a route may fly so: over no closed cell, through no corner between two, and with its clearance.
+      notes: what of a mission's file is not in its way, sentences without full stops.
+
+    Examples:
+      >>> straight = ju.cost_map(maps, 20.0).cost_of([start, goal])
+      >>> straight.is_free, {cause: round(metres) for cause, metres in straight.closed_m.items() if metres}
+      (False, {'obstacle': 28, 'touched by an obstacle': 113, 'vertical clearance': 57})
+    """
+
+    cost: float
+    cost_by_layer: dict[str, float]
+    length_m: float
+    metrics: dict[str, float]
+    closed_m: dict[str, float]
+    is_free: bool
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -321,6 +351,48 @@ class CostMap(FactsRepr):
         goal_place = one_place("goal", goal)
         search = PathSearch.of(is_for_volumes=self.levels is not None, **choice)
         return plan_on(self, start_place, goal_place, search)
+
+    @typed
+    def cost_of(self, line: PlannedPath | str | Path | np.ndarray | Sequence[Point]) -> LineCost:
+        """Return what a line costs that was not planned here, by the same sum as the cost of a path.
+
+        Args:
+          line: ``[N, 2]`` longitudes and latitudes in degrees; a path; or the file of a mission, as `jaxurban.check`
+            takes it. It counts as flown at this map's altitude, whatever its heights are.
+
+        Returns:
+          `LineCost`, which also says where no route may fly as the line does.
+
+        Raises:
+          InputError: a line that leaves the maps, places that are not in degrees, a cost map of levels, or as
+            `jaxurban.check` of a file.
+
+        Examples:
+          >>> cost_map = ju.cost_map(maps, 60.0)
+          >>> cost_map.cost_of(path).cost == path.cost
+          True
+          >>> cost_map.cost_of([start, goal]).is_free
+          False
+        """
+        notes: tuple[str, ...] = ()
+        if isinstance(line, str | Path):
+            line, notes = wings.read_way(line)
+        grid = self.grid
+        xy_m = line.xy_m if isinstance(line, PlannedPath) else grid.xy_at(np.asarray(line, float))
+        grid.cell_of_xy(*xy_m.T)  # refuses a place outside
+
+        # What it adds up as if no cell were closed, and how far it runs in those that are.
+        points_m = xy_m - grid.bounds_m[:2]
+        features = self.problem.features(points_m)
+        everywhere = replace(self, is_free=np.ones_like(self.is_free), constraints=Constraints())
+        measures = measured(everywhere, points_m)
+        metres = np.bincount(self.causes[features.crossed], features.length_m, len(CAUSES))
+        return LineCost(
+            **{name: measures[name] for name in ("cost", "cost_by_layer", "length_m", "metrics")},
+            closed_m=dict(zip(CAUSES[1:], metres[1:].tolist(), strict=True)),
+            is_free=features.is_valid,
+            notes=notes,
+        )
 
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell.

@@ -41,10 +41,12 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from jaxurban.checks import finite, one_of, positive
 from jaxurban.errors import InputError, readable
+from jaxurban.flights.legs import Segments
 from jaxurban.flights.missions.dji import read_wpml, unzipped
 from jaxurban.flights.missions.items import flyer_of, read_plan, read_waypoints
 from jaxurban.flights.missions.lines import (
@@ -145,6 +147,26 @@ def read_mission(
             flyer_of(path.name, "dji", autopilot)
             return read_wpml(data, template, path.name, home, return_m)
         return ITEM_READERS[suffix](data, path.name, home, return_m, autopilot)
+
+
+def read_way(path: str | Path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return the way of a mission, ``[N, 2]`` longitudes and latitudes, and sentences on what is not of it.
+
+    Gaps are closed by straight lines. Heights play no part, so it is not asked what they are above.
+
+    Raises:
+      InputError: as of `read_mission`.
+    """
+    path = Path(path)
+    if path.suffix.lower() in LINE_READERS:
+        with _opened(path, LINE_READERS) as (suffix, data):
+            shapes, num = LINE_READERS[suffix](path, data)
+            shapes = [shape._replace(datum=shape.datum or "ground") for shape in shapes]
+            mission = mission_of_lines(path.name, shapes, num, None, None)
+    else:
+        mission = read_mission(path)
+    segments = Segments.of(mission, is_flat=True)
+    return segments.lonlat[~segments.is_variant].reshape(-1, 2), mission.not_judged
 
 
 def read_flight(path: str | Path) -> pd.DataFrame:
