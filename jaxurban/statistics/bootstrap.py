@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
+from jaxurban.checks import at_least, typed
 from jaxurban.kernels.tolerances import SAME_COUNT
 
 NUM_DRAWS = 2000
@@ -48,8 +49,14 @@ class Clusters:
 
     Attributes:
       num_groups: degrees of freedom and 1: one less for each city but the first.
+
+    Examples:
+      >>> clusters = ju.studies.Clusters(np.arange(40) // 2)  # 20 groups of 2 values
+      >>> clusters.num_groups, [round(end, 1) for end in clusters.interval(np.arange(40.0))]
+      (20, [19.5, 13.8, 25.2])
     """
 
+    @typed
     def __init__(self, groups: Values, cities: Values | None = None, seed: int = 0) -> None:
         """Draw the groups `NUM_DRAWS` times, in each city for itself.
 
@@ -61,6 +68,7 @@ class Clusters:
           cities: ``[N]`` the city of each value; None: all are in one.
           seed: of the draws.
         """
+        at_least("seed", seed)
         groups = np.asarray(groups)
         names = np.zeros(len(groups)) if cities is None else np.asarray(cities, str)
         self._city, present = pd.factorize(names)  # [N] number of each value's city
@@ -87,13 +95,29 @@ class Clusters:
         self.num_groups = self.groups_of(np.ones(len(groups), bool))
 
     def groups_of(self, chosen: np.ndarray) -> int:
-        """Return how many groups the chosen values ``[N]`` bool belong to, counted as `num_groups` is."""
+        """Return how many groups the chosen values ``[N]`` bool belong to, counted as `num_groups` is.
+
+        Returns:
+          A whole number.
+
+        Examples:
+          >>> ju.studies.Clusters(np.arange(40) // 2).groups_of(np.arange(40) < 10)
+          5
+        """
         num_groups = self.count(chosen)
         num_cities = len(np.unique(self._city[chosen]))
         return min(self.num_groups, num_groups - max(num_cities - 1, 0))
 
     def count(self, chosen: np.ndarray) -> int:
-        """Return how many groups the chosen values ``[N]`` bool belong to."""
+        """Return how many groups the chosen values ``[N]`` bool belong to.
+
+        Returns:
+          A whole number.
+
+        Examples:
+          >>> ju.studies.Clusters(np.arange(40) // 2).count(np.arange(40) < 10)
+          5
+        """
         return len(np.unique(self._group[chosen]))
 
     def crossed(self, other: "Clusters") -> "Clusters":
@@ -101,6 +125,15 @@ class Clusters:
 
         This is Owen's pigeonhole bootstrap (Ann. Appl. Stat. 1(2), 2007): a value counts as often as the draws of its
         two groups multiplied.
+
+        Returns:
+          `Clusters` of the same values.
+
+        Examples:
+          >>> routes, maps_drawn = np.divmod(np.arange(40), 4)
+          >>> both = ju.studies.Clusters(routes).crossed(ju.studies.Clusters(maps_drawn, seed=1))
+          >>> both.num_groups
+          4
         """
         both = copy(self)
         both._draws = self._draws[:, self._column] * other._draws[:, other._column]
@@ -116,6 +149,14 @@ class Clusters:
         Args:
           values: ``[N]`` in the order of the groups.
           statistic: ``"mean"``, ``"share"`` or ``"median"``.
+
+        Returns:
+          An array, in the order of the draws.
+
+        Examples:
+          >>> drawn = ju.studies.Clusters(np.arange(40)).drawn(np.arange(40.0))
+          >>> drawn.shape, round(float(drawn.mean()))
+          ((2000,), 19)
         """
         is_known = ~np.isnan(values)
         known = values[is_known]
@@ -129,6 +170,7 @@ class Clusters:
         sums = self._draws @ np.bincount(columns, known, num)
         return np.divide(sums, total, out=np.full(len(total), np.nan), where=total > 0)
 
+    @typed
     def interval(self, values: Values, statistic: Statistic = "mean") -> Interval:
         """Return a statistic of the values ``[N]``, and its 95 % interval.
 
@@ -140,6 +182,14 @@ class Clusters:
         Args:
           values: ``[N]`` in the order of the groups.
           statistic: ``"mean"``, ``"share"`` (a mean of zeros and ones) or ``"median"``.
+
+        Returns:
+          ``value``, ``low`` and ``high``; the ends are NaN with fewer groups than 8.
+
+        Examples:
+          >>> clusters = ju.studies.Clusters(np.arange(40))
+          >>> clusters.interval(np.zeros(40), "share")
+          Interval(value=0.0, low=0.0, high=0.0721...)
         """
         values = np.asarray(values, np.float64)
         is_known = ~np.isnan(values)

@@ -2,6 +2,7 @@ from jaxurban.maps.scenario import Study as Study
 from jaxurban.paths.rows import MapsFolder as MapsFolder
 from jaxurban.receivers.validation.settings import ReceiverSettings as ReceiverSettings
 from jaxurban.receivers.validation.validate import validate as validate
+from jaxurban.statistics.bootstrap import Clusters as Clusters
 from jaxurban.studies.map_comparison import compare as compare
 from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances
 from jaxurban.studies.montecarlo.study import study as study
