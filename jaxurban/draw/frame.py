@@ -37,6 +37,7 @@ from jaxurban.draw.style import (
     panel_columns,
     styled,
     tick_label,
+    width_of,
     wrapped,
 )
 from jaxurban.draw.write import Look
@@ -172,6 +173,7 @@ def draw_maps(
     colours: Colours | None = None,
     has_ticks: bool = True,
     width: Width = "page",
+    ax: Axes | None = None,
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure of maps and the axes of its panels, in reading order.
 
@@ -186,6 +188,7 @@ def draw_maps(
       colours: of one bar for all panels; left out, each panel whose last layer is none of classes has one below it.
       has_ticks: whether eastings and northings are shown, where no bar is in their place.
       width: of the figure, see `jaxurban.draw.style.inches`.
+      ax: see `jaxurban.draw.style.chart`.
 
     Returns:
       The figure, and one axes per panel.
@@ -199,7 +202,7 @@ def draw_maps(
         colours = colours or bars[0]
     if colours is not None:
         bars = [None] * len(panels)
-    width_in = inches(width)
+    width_in = inches(width) if ax is None else width_of(ax)
     foot_in = LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
     if any(bars):
         has_ticks = False
@@ -209,7 +212,7 @@ def draw_maps(
     size = _size(grid, len(panels), width_in, foot_in)
 
     # The cells of the panels, in rows. Where no cell is left for the legend, a low row is added below them.
-    figure = chart(FIRST_IN * size.num_rows, heading, note, width)
+    figure = chart(FIRST_IN * size.num_rows, heading, note, width, ax)
     row_heights = [1.0] * size.num_rows
     is_full = len(panels) == size.num_rows * size.num_cols
     if is_full and not size.is_beside:
@@ -356,14 +359,14 @@ def _add_key(
     holder.legend(handles=handles, ncols=num_cols, **look)
 
 
-def _settle(figure: Figure, axes: Sequence[Axes], size: Size) -> None:
+def _settle(figure: Any, axes: Sequence[Axes], size: Size) -> None:
     """Give a figure the height that its panels need, and then each panel its true proportions.
 
     The layout decides how high a cell becomes, so the height is corrected by what the cells lack, a few times
     (`SETTLING`). Until then the panels fill their cells.
     """
     layout: Any = figure.get_layout_engine()
-    for _ in range(SETTLING):
+    for _ in range(SETTLING if isinstance(figure, Figure) else 0):
         layout.execute(figure)
         cell = axes[0].get_position()
         height_in = figure.get_figheight()

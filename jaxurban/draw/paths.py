@@ -133,6 +133,7 @@ def plot_paths(
     time: str | None = None,
     time_of_day: str | None = None,
     width: Width = "page",
+    ax: Axes | None = None,
 ) -> Figure:
     """Return the normalised cost by altitude (black best, white worst) with the paths of all planners.
 
@@ -148,6 +149,7 @@ def plot_paths(
       time: UTC time of the GPS maps of a panel without paths; the first if left out.
       time_of_day: of the population map of a panel without paths; the first if left out.
       width: see `plot_metric`.
+      ax: a cell of another figure, which the picture fills.
 
     Raises:
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
@@ -193,6 +195,7 @@ def plot_paths(
         legend=[*obstacle_patches(maps, BLOCKED_COLOUR, panels), *entries],
         colours=COST_COLOURS,
         width=width,
+        ax=ax,
     )
     for panel, shown, here in zip(axes, named_at.values(), paths_at, strict=True):
         draw_paths(panel, here, [colours[each.name] for each in shown])

@@ -6,6 +6,7 @@ import string
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal
@@ -77,6 +78,7 @@ printed = rc_context(
 )
 ENTRY_IN = 0.45  # of a legend's entry, beside its letters
 WIDE, VERY_WIDE = 5.0, 1e3  # factors between the ends of an axis from which its ticks are others
+SHOWN_DPI = 110  # of a picture in a notebook, which is as wide as a page
 EDGE_IN, TITLE_IN = 0.1, 0.8
 # Of a name beside its mark: steps to the right and up, how it is aligned there, and how far from the mark's middle.
 STEPS, ACROSS, UPWARD = (1, -1, 0), ("center", "left", "right"), ("center", "bottom", "top")
@@ -91,6 +93,12 @@ FEWEST_LETTERS = 8  # of a broken line, however narrow its place is
 
 class Picture(Figure):
     """A figure whose files are fit for print: text stays text in PDF and SVG, images have 300 dots an inch."""
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture that a notebook shows, where no backend of Matplotlib does."""
+        file = BytesIO()
+        self.savefig(file, format="png", dpi=SHOWN_DPI)
+        return file.getvalue()
 
     @printed
     def savefig(self, fname: Any, **options: Any) -> None:
@@ -144,7 +152,9 @@ def wrapped(text: str, width_in: float, size_pt: float = SMALL_PT) -> str:
     return "\n".join(lines).replace(FIXED_SPACE, " ").replace("  ·\n", "\n")
 
 
-def chart(height_in: float, heading: str, note: str = "", width: Width = "page") -> Picture:
+def chart(
+    height_in: float, heading: str, note: str = "", width: Width = "page", ax: Axes | None = None
+) -> Any:
     """Return an empty figure with a heading above and a note below, whose parts Matplotlib's layout places.
 
     Args:
@@ -152,16 +162,25 @@ def chart(height_in: float, heading: str, note: str = "", width: Width = "page")
       heading: its first lines, bold; broken where they are too long.
       note: the lines below, broken likewise; without any text nothing is written there.
       width: ``"column"``, ``"page"``, or millimetres.
+      ax: a cell of another figure, in place of which a part of that figure is returned.
 
     Raises:
-      InputError: an invalid width (see `inches`).
+      InputError: an invalid width (see `inches`), or axes that are no cell of a grid.
     """
-    width_in = inches(width)
+    width_in = inches(width) if ax is None else width_of(ax)
     head = wrapped(heading, width_in, BOLD * HEADING_PT)
     foot = wrapped(note, width_in)
     height_in += HEAD_IN * len(head.splitlines()) + LINE_IN * len(foot.splitlines())
     layout = ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.06)
-    figure = Picture(figsize=(width_in, height_in), layout=layout, facecolor="white")
+    figure: Any = Picture(figsize=(width_in, height_in), layout=layout, facecolor="white")
+    if ax is not None:
+        cell = ax.get_subplotspec()
+        if cell is None:
+            raise InputError(
+                "ax must be a cell of a grid of axes, as matplotlib's subplots has them"
+            )
+        figure = ax.figure.add_subfigure(cell)
+        ax.remove()
     look = {"x": EDGE_IN / width_in, "ha": "left"}  # x is a share of the figure's width
     figure.suptitle(head, size=HEADING_PT, weight="bold", color=INK, **look)
     if foot:
@@ -185,13 +204,23 @@ def bare(figure: Figure) -> Figure:
     return figure
 
 
+def width_of(part: Any) -> float:
+    """Return the width of a figure, or of a part of one, in inches."""
+    return float(part.bbox.width / part.get_figure(root=True).dpi)
+
+
 def panel_columns(num: int) -> int:
     """Return how many of several panels stand side by side."""
     return 2 if num == 4 else min(num, 3)
 
 
 def panels(
-    num: int, heading: str, *, height_in: float = 2.0, shares_y: bool = False
+    num: int,
+    heading: str,
+    *,
+    height_in: float = 2.0,
+    shares_y: bool = False,
+    ax: Axes | None = None,
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with several panels of equal size, and the axes of the panels in reading order.
 
@@ -200,11 +229,12 @@ def panels(
       heading: see `chart`.
       height_in: height of a panel in inches, about: the layout decides.
       shares_y: whether the panels have one scale, labelled at the left of each row.
+      ax: see `chart`.
     """
     # The panels of full rows; those that are too many are removed.
     num_cols = panel_columns(num)
     num_rows = math.ceil(num / num_cols)
-    figure = chart(num_rows * (height_in + TITLE_IN), heading)
+    figure = chart(num_rows * (height_in + TITLE_IN), heading, ax=ax)
     axes = figure.subplots(num_rows, num_cols, sharey=shares_y, squeeze=False).ravel().tolist()
     for panel in axes[num:]:
         panel.remove()
@@ -227,7 +257,7 @@ def letter_all(axes: Sequence[Axes], label: str = "") -> None:
     """
     for number, panel in enumerate(axes):
         grid: Any = panel.get_gridspec()
-        room_in = grid.figure.get_figwidth() / grid.ncols
+        room_in = width_of(grid.figure) / grid.ncols
         title = letter(number, len(axes)) + panel.get_title(loc="left")
         panel.set_title(wrapped(title, room_in, TEXT_PT))
         if label and number % grid.ncols == 0:
@@ -260,14 +290,14 @@ def legend_above(panel: Axes, lift: float = 0.0) -> None:
         bbox_to_anchor=(0, 1 + lift),
         borderaxespad=0.3,
         columnspacing=1.2,
-        ncols=legend_columns(names, figure.get_figwidth()),
+        ncols=legend_columns(names, width_of(figure)),
     )
 
 
 def legend_below(figure: Figure, panel: Axes) -> None:
     """Write the legend of a panel at the foot of its figure, which has no note, in as many columns as fit."""
     handles, names = panel.get_legend_handles_labels()
-    num_cols = min(len(names), legend_columns(names, figure.get_figwidth()))
+    num_cols = min(len(names), legend_columns(names, width_of(figure)))
     figure.legend(handles, names, loc="outside lower center", ncols=num_cols)
 
 
@@ -471,7 +501,7 @@ def add_colour_bar(
 
     # The label, which has the width of all panels below them.
     has_page_width = cax is None and location == "bottom"
-    label_in = figure.get_figwidth() - BESIDE_IN if has_page_width else LABEL_IN
+    label_in = width_of(figure) - BESIDE_IN if has_page_width else LABEL_IN
     bar.set_label(wrapped(colours.label, label_in))
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
     if cax is not None or location == "bottom":  # no long number stands beyond a lying bar

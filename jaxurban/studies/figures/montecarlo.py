@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
@@ -12,7 +13,7 @@ RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ra
 
 
 @styled
-def plot_costs(table: pd.DataFrame) -> Figure:
+def plot_costs(table: pd.DataFrame, ax: Axes | None = None) -> Figure:
     """Return the share of joined pairs that each planner solved within a ratio of the cheapest path known.
 
     A panel per altitude, a rising curve per planner.
@@ -23,7 +24,7 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     """
     colours = planner_colours(sorted(table.planner.unique()))
     heading = "Share of pairs solved within a factor of the cheapest cost known"
-    figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True)
+    figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True, ax=ax)
     end = np.clip(table.ratio.max(), *RATIO_AXIS)
     left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
     for panel, (altitude_m, rows) in zip(axes, table.groupby("altitude_m"), strict=True):

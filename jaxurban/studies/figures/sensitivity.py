@@ -8,6 +8,7 @@ from itertools import chain
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -63,7 +64,7 @@ AT_ONCE = "mean, with the interval that holds for all weights at once"
 ALONE: Look = {"color": "#bbbbbb", "linewidth": 4.5, "zorder": 1}  # of a weight's interval alone
 
 
-def plot_breakpoint_routes(route: OneRoute) -> Figure:
+def plot_breakpoint_routes(route: OneRoute, ax: Axes | None = None) -> Figure:
     """Return a map for each varied weight with the routes along its range, coloured by where they are the cheapest.
 
     A route has the colour of the geometric middle of the values at which it is the cheapest, as a multiple of the given
@@ -104,7 +105,9 @@ def plot_breakpoint_routes(route: OneRoute) -> Figure:
     if any(chain.from_iterable(at_edge.values())):
         label = "along the border of the maps"
         legend.append(Line2D([], [], label=label, color=INK, linestyle=DOTTED))
-    figure, axes = draw_maps(maps.grid, panels_of, heading, note, legend=legend, colours=colours)
+    figure, axes = draw_maps(
+        maps.grid, panels_of, heading, note, legend=legend, colours=colours, ax=ax
+    )
 
     for panel, name in zip(axes, route.lines, strict=True):
         draw_ends(panel, [path])
@@ -127,7 +130,7 @@ def _shown(num: int) -> np.ndarray:
 
 
 @styled
-def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
+def plot_regret(summary: pd.DataFrame, wrong: float, ax: Axes | None = None) -> Figure:
     """Return how much more a route costs that was planned under one wrong weight: a row per weight, a dot per city.
 
     Args:
@@ -142,7 +145,7 @@ def plot_regret(summary: pd.DataFrame, wrong: float) -> Figure:
     by_city = summary[is_city if is_city.any() else summary.cut == ALL]
     cities = by_city.value.unique()
     heading = f"How much more routes cost with one weight {wrong:g} times too large or too small"
-    figure, (panel,) = panels(1, heading, height_in=ROW_IN * len(weights))
+    figure, (panel,) = panels(1, heading, height_in=ROW_IN * len(weights), ax=ax)
     for number, city in enumerate(cities):
         rows = by_city[by_city.value == city].set_index("weight_name").reindex(weights)
 

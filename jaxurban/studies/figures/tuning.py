@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
@@ -29,7 +30,7 @@ PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes st
 
 
 @styled
-def plot_weights(fit: WeightFit) -> Figure:
+def plot_weights(fit: WeightFit, ax: Axes | None = None) -> Figure:
     """Return each fitted weight as a dot with its interval, on a logarithmic scale.
 
     A weight of 0, or one that the routes do not identify, has no dot; a dot without an interval is hollow.
@@ -37,7 +38,8 @@ def plot_weights(fit: WeightFit) -> Figure:
     # A row per weight, with the ends of its interval named as `dots` expects them; NaN where there is no dot.
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     table = table.where(table.weight > 0)
-    figure, (panel,) = panels(1, "Fitted weights and their intervals", height_in=0.3 * len(table))
+    heading = "Fitted weights and their intervals"
+    figure, (panel,) = panels(1, heading, height_in=0.3 * len(table), ax=ax)
     for place, name in enumerate(table.index):
         dots(
             panel,
@@ -59,6 +61,7 @@ def plot_fitted_routes(
     cost_map: CostMap,
     weights: np.ndarray,
     given: str = "demonstration",
+    ax: Axes | None = None,
 ) -> Figure:
     """Return a map of the cost under weights with the demonstrations on it and the routes that the weights lead to.
 
@@ -68,6 +71,7 @@ def plot_fitted_routes(
       cost_map: one of their maps; only those on it are drawn.
       weights: ``[K]`` distance and the map's metrics.
       given: what the demonstrations are called: a fit to targets takes only their ends.
+      ax: a cell of another figure, which the picture fills.
     """
     # What the picture says of the map and of the weights.
     grid = cost_map.grid
@@ -103,6 +107,7 @@ def plot_fitted_routes(
             *ENDS,
         ],
         colours=colours,
+        ax=ax,
     )
 
     # A demonstration and, thinner, the route between its ends. Their points are in metres from the southwest corner of

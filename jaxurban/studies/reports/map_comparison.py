@@ -4,6 +4,7 @@ from functools import partial
 from zlib import crc32
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxurban.draw.frame import (
@@ -22,7 +23,7 @@ from jaxurban.metrics.base import TIME
 from jaxurban.studies.map_comparison import MapComparison
 
 
-def plot_difference(result: MapComparison, layer: str) -> Figure:
+def plot_difference(result: MapComparison, layer: str, ax: Axes | None = None) -> Figure:
     """Return panels of B - A of a layer by altitude or time of day, at the first time, on one scale centred at 0.
 
     Cells that are blocked in either are grey; colours reach as far as 99 % of the changed cells.
@@ -30,6 +31,7 @@ def plot_difference(result: MapComparison, layer: str) -> Figure:
     Args:
       result: the comparison.
       layer: one of its layers.
+      ax: a cell of another figure, which the picture fills.
 
     Raises:
       InputError: a layer that is not compared.
@@ -68,7 +70,7 @@ def plot_difference(result: MapComparison, layer: str) -> Figure:
     heading = f"{change.attrs.get('long_name', layer)}, B - A"
     legend = [("blocked in A or B", OBSTACLE_COLOUR)]
     note = "\n".join(notes)
-    return draw_maps(result.a.grid, panels, heading, note, legend=legend, colours=colours)[0]
+    return draw_maps(result.a.grid, panels, heading, note, legend=legend, colours=colours, ax=ax)[0]
 
 
 def comparison_report(result: MapComparison) -> ResultReport:

@@ -3,6 +3,7 @@
 from functools import partial
 
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxurban.draw.paths import plot_paths
@@ -22,17 +23,18 @@ COUNTS = {"success": "joined", "times": "runs", "objectives": "pairs"}
 NUM_DRAWN = 4  # routes of a picture
 
 
-def border_figure(result: BenchmarkResult, pinned: pd.DataFrame) -> Figure:
+def border_figure(result: BenchmarkResult, pinned: pd.DataFrame, ax: Axes | None = None) -> Figure:
     """Return the cheapest grid routes of the first `NUM_DRAWN` pairs of places at the lowest altitude.
 
     Args:
       result: of the study.
       pinned: rows whose paths come near the border.
+      ax: a cell of another figure, which the picture fills.
     """
     drawn = pinned[pinned.altitude_m == pinned.altitude_m.min()].head(NUM_DRAWN)
     rules = result.settings
-    names = ["altitude_m", *query_columns(result.instances.columns)]
-    queries = result.instances.merge(drawn[KEY])[names]
+    columns = ["altitude_m", *query_columns(result.instances.columns)]
+    queries = result.instances.merge(drawn[KEY])[columns]
     paths = plan_many(
         result.maps,
         queries.drop(columns="crs"),
@@ -41,7 +43,8 @@ def border_figure(result: BenchmarkResult, pinned: pd.DataFrame) -> Figure:
         planner="astar",
         progress=False,
     )
-    return plot_paths(result.maps, paths, names=[f"instance {each}" for each in drawn.instance])
+    names = [f"instance {each}" for each in drawn.instance]
+    return plot_paths(result.maps, paths, names=names, ax=ax)
 
 
 def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
