@@ -361,6 +361,12 @@ USES: dict[str, Callable[..., Any]] = {
         on.maps(), **{"num": 3} | given
     ),
     "sensitivity": on.weights_study,
+    "Clusters": lambda **given: ju.studies.Clusters(np.arange(20), **given).interval(
+        np.arange(20.0) ** 2
+    ),
+    "Clusters.interval": lambda **given: ju.studies.Clusters(np.arange(8)).interval(
+        np.arange(8.0) ** 2, **given
+    ),
     "study": on.a_study,
     "validate": validated,
 }
@@ -717,7 +723,10 @@ TABLE: dict[str, dict[str, Any]] = {
         "wrong": 30.0,
         "num_heights": 1,
         "seed": 3,
+        "height_seed": 3,
     },
+    "Clusters": {"cities": np.arange(20) % 2, "seed": 3},
+    "Clusters.interval": {"statistic": "median"},
     "Study": {
         "instances": 3,
         "planners": "ptp",
@@ -748,6 +757,7 @@ TABLE: dict[str, dict[str, Any]] = {
     },
     "sensitivity": RULES
     | {
+        "folder": Same("it decides where the study is kept"),
         "routes": 3,
         "altitudes_m": [20.0],
         "weights": {"risk": 9.0},
@@ -1067,6 +1077,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "--study num_heights": "1",
             "--study wrong": "30",
             "--study seed": Same("one route whose heights are known draws nothing"),
+            "--study height_seed": Same("one route whose heights are known draws nothing"),
             "--workers": WORKERS,
             "--overwrite": OVERWRITE,
             "--json": JSON,

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from jaxurban.checks import typed
 from jaxurban.io.workspace import Workspace
@@ -21,6 +21,11 @@ class Result(FactsRepr):
     _command: ClassVar[str]
     _report: ClassVar[str]
 
+    @property
+    def report(self) -> Any:
+        """What `save` writes: the text, the tables and the figures (`jaxurban.draw.write.ResultReport`)."""
+        return resolve_name(self._report)(self)
+
     @typed
     def save(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
         """Write the report, tables (CSV, Parquet), figures (PNG) and maps (GeoTIFF) of a study, and return the files.
@@ -34,7 +39,7 @@ class Result(FactsRepr):
         """
         folder = Path(folder)
         write = resolve_name("jaxurban.draw.write")
-        report = resolve_name(self._report)(self)
+        report = self.report
         outputs = report.outputs
         names = write.files_of(outputs)
         with Workspace.open(folder, self._command, report.key, names=names, overwrite=overwrite):

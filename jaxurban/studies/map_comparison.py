@@ -14,7 +14,6 @@ import xarray as xr
 
 from jaxurban.checks import at_least, one_of, typed
 from jaxurban.io.files import read_json
-from jaxurban.io.results import Result
 from jaxurban.io.stored import RUN_FILE
 from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -28,6 +27,7 @@ from jaxurban.statistics.bootstrap import Clusters
 from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, sized
 from jaxurban.studies.compared_routes import compared_routes
 from jaxurban.studies.decided import border_verdict, effects, wider_bounds
+from jaxurban.studies.results import StudyResult
 
 CELLS = ("y", "x")
 SAME = 1e-6  # values that differ by no more, as on another device, are equal
@@ -56,7 +56,7 @@ class MapVerdict(Enum):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapComparison(Result):
+class MapComparison(StudyResult):
     """Maps B beside maps A, on the cells, altitudes, times and layers that both hold.
 
     Attributes:

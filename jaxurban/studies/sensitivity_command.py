@@ -37,6 +37,7 @@ OF_STUDY = (
     "num_heights",
     "wrong",
     "seed",
+    "height_seed",
 )
 
 

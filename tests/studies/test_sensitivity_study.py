@@ -250,7 +250,8 @@ def test_a_share_of_the_cost_is_no_measure_of_harm_and_regrets_have_the_interval
 def said(table: pd.DataFrame, at_edge: float = 0.0) -> dict[WeightVerdict | SharedVerdict, Verdict]:
     """Return the verdicts of a made table of weights by their kinds, the first of each kind."""
     routes = pd.DataFrame({"at_edge": [at_edge] * 3 + [0.0] * 77})
-    tables = {"weights": table, "routes": routes, "summary": summarise(table, 2.0)}
+    summary = summarise(table, 2.0)
+    tables = {"weights": table, "routes": routes, "summary": summary, "together": pd.DataFrame()}
     verdicts = verdicts_of(tables, None, ju.studies.SensitivitySettings())
     return {each.kind: each for each in reversed(verdicts)}
 

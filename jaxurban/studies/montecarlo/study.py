@@ -11,7 +11,6 @@ import pandas as pd
 from jaxurban import wings
 from jaxurban.checks import typed, values_given
 from jaxurban.errors import InputError
-from jaxurban.io.results import Result
 from jaxurban.io.samples import is_sample
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
 from jaxurban.io.workspace import Workspace
@@ -34,11 +33,12 @@ from jaxurban.studies.montecarlo.sampling import (
     with_connection,
 )
 from jaxurban.studies.montecarlo.trial import Benchmark, row_columns
+from jaxurban.studies.results import StudyResult
 from jaxurban.world.land_cover import LandCover
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BenchmarkResult(Result):
+class BenchmarkResult(StudyResult):
     """What a Monte Carlo benchmark found.
 
     Attributes:

@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Unpack
+from tempfile import TemporaryDirectory
+from typing import Any, Unpack
 
 import pandas as pd
 
@@ -42,7 +43,7 @@ def sensitivity(
     | MapsFolder
     | str
     | Path,
-    folder: str | Path,
+    folder: str | Path | None = None,
     routes: QueriesLike | int = 30,
     *,
     altitudes_m: Sequence[float] | None = None,
@@ -67,7 +68,7 @@ def sensitivity(
       sources: maps, or their folder; or maps of each city by its name, folders or maps in memory (which only this
         process sees); or folders, called as they are. What is drawn depends on the seed and on the order of the cities,
         not on their names.
-      folder: where the study is kept.
+      folder: where the study is kept; left out, nowhere: the result is all there is.
       routes: pairs of start and goal, ``[((lon, lat), (lon, lat))]`` for one route; or a table of instances (see
         `sample_instances`) or of queries (as `plan_many` takes it), with a column ``city`` where there are several; or
         how many to sample in each city, by stratum and range, that a path joins at every altitude.
@@ -101,7 +102,6 @@ def sensitivity(
       1  demo  optimal            0.07        NaN        NaN
     """
     # Check everything before anything is planned: sources, workers, routes and weights.
-    folder = Path(folder)
     settings = settings or SensitivitySettings()
     snap_limit_m(snap)
     sources_by_city = named_sources(sources)
@@ -128,13 +128,17 @@ def sensitivity(
     }
     folders = ROUTES_FOLDER, CHANGED_FOLDER
     names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in folders), *FILES]
-    with (
-        Workspace.open(folder, "sensitivity", key, names=names, overwrite=overwrite),
-        reporting("sensitivity", progress) as report,
-    ):
-        write_table(instances, folder / INSTANCES_FILE)
+    place: Any
+    if folder is None:
+        place = TemporaryDirectory()
+    else:
+        folder = Path(folder)
+        place = Workspace.open(folder, "sensitivity", key, names=names, overwrite=overwrite)
+    with place, reporting("sensitivity", progress) as report:
+        kept = folder or Path(place.name)
+        write_table(instances, kept / INSTANCES_FILE)
         rows = run_rows(
-            folder / ROUTES_FOLDER / ROWS_FILE,
+            kept / ROUTES_FOLDER / ROWS_FILE,
             job,
             instances,
             cities.sources,
@@ -144,7 +148,7 @@ def sensitivity(
         )
 
         # The rows on changed maps and why some are missing, and what only one route has.
-        changed, skipped = add_changed_rows(folder, cities, instances, report)
+        changed, skipped = add_changed_rows(kept, cities, instances, report)
         route = None if only is None else one_route(*only, job, report)
         report("report")
         result = Sensitivity(
@@ -159,7 +163,8 @@ def sensitivity(
             changed=changed,
             route=route,
         )
-        save(folder, sensitivity_report(result).outputs)
+        if folder is not None:
+            save(kept, sensitivity_report(result).outputs)
     return result
 
 

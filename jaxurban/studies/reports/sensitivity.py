@@ -24,13 +24,13 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
-from jaxurban.public import FactsRepr
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
 from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded
 from jaxurban.studies.decided import FEWEST_RUNS, wider_bounds
 from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes, plot_regret
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.queries import population_norms, weights_option
+from jaxurban.studies.results import SHARES, StudyResult, with_units
 from jaxurban.studies.weights import summary
 from jaxurban.studies.weights.one_route import MORE, OneRoute
 from jaxurban.studies.weights.routes import WeightsJob
@@ -43,6 +43,7 @@ TABLES = [
     "routes",
     "weights",
     "summary",
+    "together",
     "pairs",
     "changed",
     "changed_summary",
@@ -66,25 +67,15 @@ GIVEN = (
     "means are over them, each once, and say nothing about others."
 )
 MOST_REASONS = 3
-SHARES = [  # in tables, fractions; in the report, percent
-    "regret",
-    "changes",
-    "share",
-    "is_other",
-    "overlap",
-    "nominal_regret",
-    "nominal_is_closed",
-    "more_cost",
-]
 MORE_ROUTES = 30  # to ask for after one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sensitivity(FactsRepr):
+class Sensitivity(StudyResult):
     """What the weights do to one route, or to many.
 
     Attributes:
-      folder: where the study is kept.
+      folder: where the study is kept; None: nowhere.
       maps: of each city by its name.
       instances: the routes asked for.
       rows: what was found for each, a row per route: its status, cost and outcomes, and of each weight its share of the
@@ -102,10 +93,13 @@ class Sensitivity(FactsRepr):
       ...     {"demo": maps}, "weights", 2, altitudes_m=[60.0], settings=chosen, progress=False
       ... )
       >>> list(result.tables), result.is_sampled
-      (['routes', 'weights', 'summary', 'changed', 'changed_summary'], True)
+      (['routes', 'weights', 'summary', 'together', 'changed', 'changed_summary'], True)
     """
 
-    folder: Path
+    _command = "sensitivity"
+    _report = "jaxurban.studies.reports.sensitivity:sensitivity_report"
+
+    folder: Path | None
     maps: Mapping[str, MetricMaps]
     instances: pd.DataFrame
     rows: pd.DataFrame
@@ -127,9 +121,10 @@ class Sensitivity(FactsRepr):
     def tables(self) -> dict[str, pd.DataFrame]:
         """All tables by name: ``routes``, and those that can be made of them.
 
-        Where any route was found ``weights`` and ``summary``, and of several routes ``pairs``, each two weights
-        compared; with routes on other maps ``changed`` and ``changed_summary``. Of one route ``ways``, where each
-        weight sends it another way, and ``switches``, every route along the range of each weight.
+        Where any route was found ``weights``, ``summary``, ``together``, what each two weights cost that are wrong at
+        once, and of several routes ``pairs``, each two compared; with routes on other maps ``changed`` and
+        ``changed_summary``. Of one route ``ways``, where each weight sends it another way, and ``switches``, every
+        route along the range of each weight.
         """
         routes = summary.routes_of(self.rows, self.instances)
         result = {"routes": self.rows}
@@ -137,6 +132,7 @@ class Sensitivity(FactsRepr):
             return result
         result["weights"] = summary.weights_table(routes, self.settings.factors)
         result["summary"] = summary.summarise(result["weights"], self.settings.wrong)
+        result["together"] = summary.act_together(routes)
         ranking = None if self.route else weight_ranking(result["weights"])
         if ranking is not None:
             result["pairs"] = ranking.pairs
@@ -147,7 +143,7 @@ class Sensitivity(FactsRepr):
             result["ways"] = self.route.ways
             switches = [self.route.breakpoints(name) for name in self.route.lines]
             result["switches"] = pd.concat(switches).reset_index()
-        return result
+        return with_units(result)
 
     @cached_property
     def decided(self) -> Conclusion:
@@ -170,7 +166,7 @@ class Sensitivity(FactsRepr):
             options += f"--weights {weights_option(weights, metrics)} "
         if self.rules.snap:
             options += "--snap "
-        command = f"jaxurban sensitivity {folders} {options}-o {self.folder}-more --routes"
+        command = f"jaxurban sensitivity {folders} {options}-o {self.folder or 'out/sensitivity'}-more --routes"
         others = f"{command} {MORE_ROUTES}"
         if self.is_sampled:  # other routes than these
             others += f" --study seed={self.settings.seed + 1}"
@@ -279,6 +275,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     paid = interval_columns(*MORE)
     result = {
         "by_all": by_regret.loc[is_whole, ["of", "weight", "routes", *statistics]],
+        "together": tables["together"].query("needed == 0").drop(columns="needed"),
         "paid": by_regret.loc[is_whole & by_regret.regret.notna(), ["of", "weight", *paid]],
         "where": by_regret.loc[is_part, ["of", "weight", "routes", *statistics]],
     }

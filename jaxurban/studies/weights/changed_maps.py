@@ -125,7 +125,7 @@ def changed_maps(
     plain = plain_task(task)
     std_m = task.params.heights.height_std_m
     draws = report.over(f"perturbed maps of {city}", range(settings.num_heights))
-    cities = perturbed_cities(task.city, std_m, settings.num_heights, settings.seed)
+    cities = perturbed_cities(task.city, std_m, settings.num_heights, settings.height_seed)
     for draw, drawn in zip(draws, cities, strict=True):
         yield HEIGHTS, draw, partial(_made, replace(plain, city=drawn))
 

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ OF_WEIGHT = (
     "regret_high",
     *(f"more_{name}" for name in PAID),
 )
+TOGETHER = "together:"  # begins the columns of two weights, as "together:gps,risk"
 TEXTS = ("city", "status", "note", "vary", "change")
 
 
@@ -59,7 +61,7 @@ class WeightsJob(RouteJob):
 
     def to_dict(self) -> dict[str, Any]:
         """Return what decides a row, as plain, JSON-ready values."""
-        names = ("factors", "vary", "wrong", "seed")
+        names = ("factors", "vary", "wrong", "seed", "height_seed")
         asked = {name: getattr(self.settings, name) for name in names}
         return self.rules() | asked | {"snap": self.snap}
 
@@ -115,8 +117,33 @@ class WeightsJob(RouteJob):
                 f"{kind}:{name}": each for kind, each in zip(OF_WEIGHT[1:], values, strict=True)
             }
 
+        for pair, extra in two_wrong(pool, weights, varied, settings.wrong).items():
+            facts[TOGETHER + pair] = extra / cost
         elapsed_s = time.perf_counter() - begin_s
         return [facts | {"num_plans": pool.num_plans + 2 * len(varied) + 1, "elapsed_s": elapsed_s}]
+
+
+def two_wrong(
+    pool: RoutePool, weights: np.ndarray, columns: Mapping[str, int], factor: float
+) -> dict[str, float]:
+    """Return of each two weights what both cost more that are wrong in opposite directions than in the same one.
+
+    It is half of the difference of two routes and two, under the true weights.
+
+    Args:
+      pool: of one query; routes found join it.
+      weights: ``[K]`` the true ones.
+      columns: of the weights that vary, by name.
+      factor: by which a weight is too large or too small.
+    """
+    more = {}
+    for one, other in combinations(columns, 2):
+        places = np.tile(weights, (4, 1))
+        places[:, columns[one]] *= factor ** np.array([1, -1, 1, -1])
+        places[:, columns[other]] *= factor ** np.array([-1, 1, 1, -1])
+        costs = pool.cheapest(places)[0, 0] @ weights
+        more[f"{one},{other}"] = float(costs @ [0.5, 0.5, -0.5, -0.5])
+    return more
 
 
 def varied_columns(
@@ -160,7 +187,9 @@ def typed_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     For each weight that varies: ``below:NAME`` and ``above:NAME``, the nearest factors at which the route changes (NaN
     if none is within the range). ``regret_low:NAME`` and ``regret_high:NAME``, by which share a route costs more under
     the true weights if it is planned with this weight ``wrong`` times too small or too large, and what a user pays more
-    for the worse one of the two (``more_length_m:NAME`` and the like of `PAID`).
+    for the worse one of the two (``more_length_m:NAME`` and the like of `PAID`). For each two of these weights
+    ``together:NAME,OTHER``, by which share of the cost both cost more that are wrong in opposite directions than in the
+    same one (`two_wrong`).
     """
     names = dict.fromkeys(name for row in rows for name in row)
     types = {"instance": "int64"} | dict.fromkeys(TEXTS, "object")

@@ -18,7 +18,8 @@ class SensitivitySettings:
       factors: breakpoints are looked for from the first to the second of these times each weight.
       wrong: factor by which a wrong weight is too large or too small.
       num_heights: draws of all heights, on the maps of each of which every route is planned too.
-      seed: of the sampling of routes, with the place of the city among those of the study, and of heights.
+      seed: of the sampling of routes, with the place of the city among those of the study.
+      height_seed: of the draws of heights.
 
     Raises:
       InputError: factors that do not enclose 1, or another wrong value.
@@ -34,10 +35,12 @@ class SensitivitySettings:
     wrong: float = 2.0
     num_heights: int = 0
     seed: int = 0
+    height_seed: int = 0
 
     def __post_init__(self) -> None:
         """Check all numbers; names are checked against the maps when the study runs."""
         at_least("seed", self.seed)
+        at_least("height_seed", self.height_seed)
         if len(set(self.vary)) < len(self.vary):
             raise InputError(f"vary must name each weight once, got {', '.join(self.vary)}")
         factors: tuple[float, ...] = self.factors

@@ -15,10 +15,11 @@ from jaxurban.paths.rows import HAS_PATH
 from jaxurban.statistics.bootstrap import Clusters, Statistic, interval_columns, named
 from jaxurban.studies.decided import FEWEST_RUNS, effects
 from jaxurban.studies.weights.paid import PAID
-from jaxurban.studies.weights.routes import OF_WEIGHT, ROUTE_KEY
+from jaxurban.studies.weights.routes import OF_WEIGHT, ROUTE_KEY, TOGETHER
 
 DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
 ALL = "all"
+DIGITS = 9  # of percents; what is less is rounding
 CUTS = ("city", "altitude_m", "range")
 MORE = [f"more_{name}" for name in PAID]
 HEIGHTS = "heights"  # the change of all draws of them
@@ -118,7 +119,7 @@ def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
 def parts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """Yield the parts of each cut that has two values or more, as `cuts_of`, however small they are."""
     for cut in CUTS:
-        if table[cut].nunique() > 1:
+        if cut in table and table[cut].nunique() > 1:
             for value, part in table.groupby(cut, sort=True):
                 yield cut, _text_of(value), part
 
@@ -170,6 +171,23 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def act_together(routes: pd.DataFrame) -> pd.DataFrame:
+    """Return which weights act together: a row per two ``weights``, those first that do most.
+
+    ``size`` is what both cost more, in % of the cost, that are wrong in opposite directions than in the same one; also
+    ``low``, ``high``, ``n`` and ``needed``, as of `effects`. Where weights do not act together it is 0, as the effect
+    of the one then does not change with the other: it is the interaction of two factors at two levels (Box, Hunter and
+    Hunter, Statistics for Experimenters, 2nd edition, chapter 5).
+
+    Args:
+      routes: from `routes_of`; where a single weight varies the table is empty.
+    """
+    values = 100 * routes.filter(like=TOGETHER)
+    values.columns = values.columns.str.removeprefix(TOGETHER)
+    table = effects(values.round(DIGITS), pairs_of(routes)).rename_axis("weights")
+    return table.sort_values("size", key=abs, ascending=False).reset_index()
+
+
 def _sizes_of(part: pd.DataFrame) -> dict[str, float]:
     """Return how many routes, pairs of places and cities a part of a table holds."""
     return {
@@ -190,17 +208,12 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
     Args:
       changed: rows of routes on other maps.
     """
-    changed = changed[changed.status.isin(HAS_PATH)].assign(**{ALL: ALL})
+    changed = changed[changed.status.isin(HAS_PATH)]
     rows = []
     for change, of_change in changed.groupby("change", sort=False):
-        for cut in (ALL, "city", "altitude_m"):
-            if cut != ALL and of_change[cut].nunique() == 1:
-                continue
-            for value, part in of_change.groupby(cut, sort=False):
-                if cut != ALL and num_routes(part) < FEWEST_RUNS:
-                    continue
-                head = {"change": change, "cut": cut, "of": _text_of(value)}
-                rows.append(head | _changes_of(part))
+        for cut, value, part in cuts_of(of_change):
+            head = {"change": change, "cut": cut, "of": value}
+            rows.append(head | _changes_of(part))
     return pd.DataFrame(rows)
 
 

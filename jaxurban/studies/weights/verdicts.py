@@ -52,6 +52,11 @@ class WeightVerdict(Enum):
     NO_WAY = "no factor of {what} from {low:g} to {high:g} sends the drone another way"
     OTHER_MAPS = "with {first} {size} of the routes change, and keeping a route there costs {kept:.2g} % more ({n})"
     NO_PATH = "which weights matter, as no path was found ({n})"
+    TOGETHER = (
+        "{what} act together by {size}: so much more they cost, both {wrong:g} times wrong, in opposite directions "
+        "than in the same one ({n})"
+    )
+    NOT_TOGETHER = "whether weights act together, which was not looked at"
     ONE_ROUTE = "whether other routes change at these factors, which one route cannot say"
 
 
@@ -63,7 +68,7 @@ def verdicts_of(
     """Return what a study says of its weights, the most important first.
 
     Args:
-      tables: of the study: ``routes``, ``weights``, ``summary``, and ``changed_summary`` where it has one.
+      tables: of the study: ``routes``, ``weights``, ``summary``, ``together``, and ``changed_summary`` where it has one.
       route: what only a study of one route has.
       settings: of the study.
     """
@@ -71,6 +76,7 @@ def verdicts_of(
     summary = tables["summary"]
     of_all = summary[summary.cut == ALL]
     verdicts = list(_ways(route, settings) if route else _ranks(weights, of_all, settings))
+    verdicts[1:1] = together_verdicts(tables["together"], settings)
     if "changed_summary" in tables:
         changed = tables["changed_summary"]
         verdicts += map(_on_other_maps, changed[changed.cut == ALL].to_dict("records"))
@@ -158,6 +164,27 @@ def _ways(route: OneRoute, settings: SensitivitySettings) -> Iterator[Verdict]:
         yield Verdict(WeightVerdict.NO_WAY, calm, n=1, facts=_range(settings))
     yield from border_verdict(ways.at_edge.to_numpy() > 0, "other ways")
     yield Verdict(WeightVerdict.ONE_ROUTE, tuple(route.lines), n=1, needed=math.nan)
+
+
+def together_verdicts(table: pd.DataFrame, settings: SensitivitySettings) -> Iterator[Verdict]:
+    """Yield which weights act together, or the nearest to it; of one route none is decided.
+
+    Args:
+      table: from `act_together`.
+      settings: of the study.
+    """
+    if table.empty:
+        yield Verdict(WeightVerdict.NOT_TOGETHER, needed=math.nan)
+        return
+    shown = table[table.needed == 0]
+    if shown.empty:
+        shown = table.nsmallest(1, "needed")
+    rows: Any = shown.itertuples()
+    for row in rows:
+        needed = row.needed if row.n > 1 else math.nan
+        about = row.size, row.low, row.high, row.n, OF_COST, "routes", needed
+        facts = {"wrong": settings.wrong}
+        yield Verdict(WeightVerdict.TOGETHER, tuple(row.weights.split(",")), *about, facts)
 
 
 def _on_other_maps(row: Mapping[Any, Any]) -> Verdict:

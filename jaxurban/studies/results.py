@@ -1,0 +1,58 @@
+"""A study as a value: its tables, whose columns have units, and its pictures, which a notebook shows."""
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from jaxurban.errors import InputError
+from jaxurban.io.results import Result
+
+SHARES = (
+    *("share", "changes", "regret", "more_cost", "overlap"),
+    *("is_other", "nominal_regret", "nominal_is_closed"),
+)
+FACTORS = ("nearest", "below", "above", "first", "factor")
+# Of columns whose names do not end in a unit, by the name without its weight (":gps") and the end of an interval.
+UNITS = {
+    **dict.fromkeys((*SHARES, "elasticity", "together"), "share, of 1"),
+    **dict.fromkeys(FACTORS, "times the weight"),
+    **dict.fromkeys(("size", "solved", "proven", "cost_change"), "%"),
+    **dict.fromkeys(("people_below", "more_people_below"), "people"),
+}
+
+
+class StudyResult(Result):
+    """Base of the result of a study, which shows itself in a notebook."""
+
+    @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """The tables of the report by name; their ``attrs["units"]`` are `UNITS`."""
+        tables = self.report.tables
+        return with_units({Path(name).stem: table for name, table in tables.items()})
+
+    def plot(self, name: str, ax: Any = None) -> Any:
+        """Return a picture of the report, which a notebook shows.
+
+        Args:
+          name: of the picture, as in the folder ``figures``.
+          ax: a cell of another Matplotlib figure, which the picture fills.
+
+        Returns:
+          A Matplotlib figure, or the part of one.
+
+        Raises:
+          InputError: the study has no such picture, or axes that are no cell of a grid.
+        """
+        figures = self.report.figures
+        if name not in figures:
+            drawn = ", ".join(figures) or "none"
+            raise InputError(f"the study has no picture {name!r}: name one of its own ({drawn})")
+        return figures[name](ax=ax)
+
+
+def with_units(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+    """Return tables whose attributes hold `UNITS`."""
+    for table in tables.values():
+        table.attrs["units"] = UNITS
+    return tables
