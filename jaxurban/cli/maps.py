@@ -145,9 +145,9 @@ def _made(
     """
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.provenance import finished
-    from jaxurban.maps.scenario import Scenario
+    from jaxurban.maps.sources import read_scenario
 
-    scenario = Scenario.from_toml(scenario_file, changes)
+    scenario = read_scenario(scenario_file, changes)
 
     # Make the maps by libraries that neither finished ones nor a wrong scenario need wait for.
     record = None if has_figures or layers or memory_bytes else finished(scenario, output)

@@ -283,8 +283,7 @@ class Scenario(BaseModel):
         """Return the scenario in a TOML file; relative paths in it are relative to the file.
 
         Args:
-          path: of the file; or the name of a sample city, as ``sample:shinjuku``, for its own settings; or a folder of
-            maps, for those of the run that made them, whose files must still be there as they were.
+          path: of the file; or the name of a sample city, as ``sample:shinjuku``, for its own settings.
           changes: of its settings, as ``"gps.mask_deg=10"``: a dotted key and a value as TOML writes it.
 
         Returns:
@@ -302,10 +301,6 @@ class Scenario(BaseModel):
             settings = changed({"buildings": {"source": str(path)}}, changes)
             return cls.from_dict(settings, name=str(path))
         path = Path(path)
-        if path.is_dir():
-            from jaxurban.maps.sources import scenario_of  # imported here: it imports this module
-
-            return scenario_of(path, changes=changes)
         # Everything is within the block, as tables nested without end fail only where their settings are used.
         with readable(path, "a scenario in TOML", REMEDY):
             settings = changed(tomllib.loads(path.read_text(encoding="utf-8-sig")), changes)

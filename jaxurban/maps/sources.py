@@ -31,9 +31,7 @@ class ChangedSourcesError(InputError):
     """A file that says what stands is there, and maps were made of another one."""
 
 
-def scenario_of(
-    folder: Path, sources: str | Path | None = None, changes: Sequence[str] = ()
-) -> Scenario:
+def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
     """Return the scenario of the run that made the maps in a folder, with relative paths from where its files lie.
 
     The record may come from another machine, so files count only if their sizes and SHA-256 are those that the run
@@ -42,7 +40,6 @@ def scenario_of(
     Args:
       folder: of the maps.
       sources: where relative paths begin; left out, the current folder, that of the maps, or the one above it.
-      changes: of its settings, as in `Scenario.from_toml`.
 
     Raises:
       ChangedSourcesError: a file of buildings or terrain is there, and not as it was.
@@ -71,8 +68,7 @@ def scenario_of(
         with suppress(InputError):  # raised where one of the files cannot be read
             files = unsized(hash_inputs(scenario, inputs))
             if files == recorded:
-                wanted = changed(settings, changes)
-                return Scenario.from_dict(wanted, str(folder / RUN_FILE), place)
+                return scenario
             altered = [role for role in files if recorded.get(role) != files[role]]
             if files:
                 gone = recorded.keys() - files.keys()
@@ -85,6 +81,18 @@ def scenario_of(
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "
         "maps again"
     )
+
+
+def read_scenario(path: Path, changes: Sequence[str] = ()) -> Scenario:
+    """Return the scenario in a file (`Scenario.from_toml`), or that of the run that made the maps in a folder.
+
+    Raises:
+      InputError: as of either of the two.
+    """
+    if not path.is_dir():
+        return Scenario.from_toml(path, changes)
+    settings = changed(stored_settings(path), changes)
+    return Scenario.from_dict(settings, str(path / RUN_FILE), scenario_of(path).path_of(""))
 
 
 def city_of(given: CityLike, sources: str | Path | None = None) -> City:

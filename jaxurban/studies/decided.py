@@ -38,7 +38,7 @@ def effects(
     """Return means with intervals that hold all at once: a row per column of the values, by its name.
 
     ``size``, ``low``, ``high``; ``n``, the number of groups; ``needed`` (`runs_needed`). Ends are NaN with fewer groups
-    than `FEWEST_GROUPS`; what is needed then rests on the spread of these few, by the normal law.
+    than `FEWEST_GROUPS`; what is needed then rests on the spread of these few, by the normal law (Šidák's level).
 
     Args:
       values: ``[N, P]`` in the order of the groups; NaN does not count.
@@ -54,11 +54,12 @@ def effects(
     # The largest deviation of each draw, in standard errors of its column, and its quantile; then, for each column, the
     # same level of Student's t.
     has_interval = num >= FEWEST_GROUPS
-    varies = (spread > SAME * size.abs()) & (has_interval | ~has_interval.any())
-    largest = ((drawn - size) / spread).loc[:, varies].abs().max(axis=1).quantile(LEVEL)
-    student = special.stdtrit(num.clip(lower=2) - 1, special.ndtr(largest))
-    wide = np.where(has_interval, student, largest)
-    half = (wide * spread * np.sqrt(num / (num - 1).clip(lower=1))).where(varies, 0.0)
+    varies = spread > SAME * size.abs()
+    largest = ((drawn - size) / spread).loc[:, varies & has_interval].abs().max(axis=1)
+    student = special.stdtrit(num.clip(lower=2) - 1, special.ndtr(largest.quantile(LEVEL)))
+    normal = special.ndtri((1 + LEVEL ** (1 / max(len(size), 1))) / 2)
+    half = np.where(has_interval, student, normal) * spread * np.sqrt(num / (num - 1).clip(lower=1))
+    half = half.where(varies, 0.0)
     count = [clusters.count(is_known) for is_known in table.notna().to_numpy().T]
     ends = {"size": size, "low": size - half, "high": size + half, "n": count}
     result = pd.DataFrame(ends)

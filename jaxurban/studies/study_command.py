@@ -71,7 +71,8 @@ def study_command(
 
     The planners are those of [study] in SCENARIO, and the queries are over its maps.
     """
-    from jaxurban.maps.scenario import OF_SAMPLING, Scenario
+    from jaxurban.maps.scenario import OF_SAMPLING
+    from jaxurban.maps.sources import read_scenario
 
     # Settings that --set names and that a file of instances fixes.
     fixed = tuple(f"study.{name}" for name in OF_SAMPLING)
@@ -84,7 +85,7 @@ def study_command(
     # The scenario, with the settings that options change, and the rules of routes, which all later steps share.
     if preset:
         changes = (*changes, f"planning.preset={preset!r}")
-    scenario = Scenario.from_toml(scenario_file, changes)
+    scenario = read_scenario(scenario_file, changes)
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.provenance import finished
     from jaxurban.maps.run import run_scenario

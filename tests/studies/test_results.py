@@ -1,4 +1,4 @@
-"""A study as a value of a notebook: units of its tables, its pictures alone and in a figure of the user's, no folder."""
+"""A study as a value of a notebook: units of its tables, its pictures alone and in another figure, no folder."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,10 @@ from jaxurban.typing import Sensitivity
 from tests.pictures import faults
 
 # Names that say what they count or are, and those that end in a unit.
-PLAIN = r"(.*_)?(routes?|pairs|cities|draws?|groups|instance|n|needed|cells|num_\w+|at_edge|expanded|samples|joined|paths|runs|crashed)"
+PLAIN = (
+    r"(.*_)?(routes?|pairs|cities|draws?|groups|instance|n|needed|cells|num_\w+|at_edge|expanded|"
+    r"samples|joined|paths|runs|crashed)"
+)
 WITH_UNIT = (
     r".*_(m|s|percent)(_change)?|(mean|m)_\w+|people|cost|higher|lower|lost|gained|rank|behind"
 )

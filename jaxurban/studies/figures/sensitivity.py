@@ -153,7 +153,7 @@ def plot_regret(summary: pd.DataFrame, wrong: float, ax: Axes | None = None) -> 
         y = np.arange(len(weights)) + (number - (len(cities) - 1) / 2) * DOT_GAP
         low, high = rows[["regret_alone_low", "regret_alone_high"]].to_numpy().T
         has_bar = np.isfinite(low)
-        label = None if number else "interval of each weight alone"
+        label = "" if number else "interval of each weight alone"
         panel.hlines(y[has_bar], low[has_bar], high[has_bar], label=label, **ALONE)
         dots(
             panel,

@@ -78,7 +78,15 @@ class Target:
         return 1.0 if self.sense == ">=" else -1.0
 
     def is_met(self, value: float) -> bool:
-        """Return whether an outcome of this value meets the target."""
+        """Return whether an outcome of this value meets the target.
+
+        Returns:
+          A bool.
+
+        Examples:
+          >>> ju.fit.Target.parse("detour <= 0.15").is_met(0.1)
+          True
+        """
         return self.sign * (value - self.value) >= 0
 
     def __str__(self) -> str:

@@ -12,13 +12,19 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.paths.rows import HAS_PATH
-from jaxurban.statistics.bootstrap import Clusters, Statistic, interval_columns, named
+from jaxurban.statistics.bootstrap import Clusters, Statistic, named
 from jaxurban.studies.decided import FEWEST_RUNS, effects
 from jaxurban.studies.weights.paid import PAID
 from jaxurban.studies.weights.routes import OF_WEIGHT, ROUTE_KEY, TOGETHER
 
 DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
 ALL = "all"
+AT_ONCE = {  # columns of `effects`, of mean regrets
+    "size": "regret",
+    "low": "regret_low",
+    "high": "regret_high",
+    "needed": "regret_needed",
+}
 DIGITS = 9  # of percents; what is less is rounding
 CUTS = ("city", "altitude_m", "range")
 MORE = [f"more_{name}" for name in PAID]
@@ -159,15 +165,15 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     rows = []
     for cut, value, part in cuts_of(weights):
         regrets = regrets_of(part)
-        at_once = effects(regrets, pairs_of(regrets.index.to_frame()), least=0.0)
-        at_once = at_once.drop(columns="n").reindex(part.weight_name.unique())
+        at_once: Any = effects(regrets, pairs_of(regrets.index.to_frame()), least=0.0)
+        at_once = at_once.rename(columns=AT_ONCE)[[*AT_ONCE.values()]]
+        at_once = at_once.reindex(part.weight_name.unique())
         for name, of_weight in part.groupby("weight_name", sort=False):
             row = {"cut": cut, "value": value, "weight_name": name, **_sizes_of(of_weight)}
             clusters = pairs_of(of_weight)
             for statistic, (values_of, average) in statistics_of(wrong).items():
                 row |= named(statistic, clusters.interval(values_of(of_weight), average))
-            columns = *interval_columns("regret"), "regret_needed"
-            rows.append(row | dict(zip(columns, at_once.loc[name], strict=True)))
+            rows.append(row | at_once.loc[name].to_dict())
     return pd.DataFrame(rows)
 
 
@@ -185,7 +191,7 @@ def act_together(routes: pd.DataFrame) -> pd.DataFrame:
     values = 100 * routes.filter(like=TOGETHER)
     values.columns = values.columns.str.removeprefix(TOGETHER)
     table = effects(values.round(DIGITS), pairs_of(routes)).rename_axis("weights")
-    return table.sort_values("size", key=abs, ascending=False).reset_index()
+    return table.sort_values("size", key=np.abs, ascending=False).reset_index()
 
 
 def _sizes_of(part: pd.DataFrame) -> dict[str, float]:

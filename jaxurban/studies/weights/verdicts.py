@@ -68,7 +68,7 @@ def verdicts_of(
     """Return what a study says of its weights, the most important first.
 
     Args:
-      tables: of the study: ``routes``, ``weights``, ``summary``, ``together``, and ``changed_summary`` where it has one.
+      tables: of the study: ``routes``, ``weights``, ``summary`` and ``together``; ``changed_summary`` where it has one.
       route: what only a study of one route has.
       settings: of the study.
     """
@@ -133,11 +133,11 @@ def _ranks(
     for row in rows:
         of_weight = varied[varied.weight_name == row.Index]
         facts = wrong | {"paid": paid_on_average(of_weight)}
-        percent = (100 * each for each in (row.regret, row.regret_low, row.regret_high))
+        size, low, high = 100 * np.array([row.regret, row.regret_low, row.regret_high])
         kind = WeightVerdict.COSTS
         if 0 < row.regret_needed < math.inf:
             kind = WeightVerdict.COSTS_OPEN
-        about = *percent, row.pairs, "%", PAIRS, row.regret_needed
+        about = size, low, high, row.pairs, "%", PAIRS, row.regret_needed
         yield Verdict(kind, (row.Index,), *about, facts)
     if dead:
         num = num_routes(varied)
