@@ -235,7 +235,8 @@ def test_a_share_of_the_cost_is_no_measure_of_harm_and_regrets_have_the_interval
     table = made_weights(layer=0.98, other=0.001)
     table["elasticity"] = np.where(table.weight_name == "layer", 0.0, 0.5)
     rows = summarise(table, 2.0)
-    first = shown_tables({"summary": rows})["by_all"].iloc[0]
+    tables = {"summary": rows, "together": pd.DataFrame({"needed": []})}
+    first = shown_tables(tables)["by_all"].iloc[0]
     assert (first.weight, first["share %"]) == ("layer", 0.0)
     assert first["regret %"] == pytest.approx(98, abs=1)
     of_layer = table[table.weight_name == "layer"]
