@@ -5,7 +5,7 @@ from typing import Any
 
 import pandas as pd
 
-from jaxurban.errors import InputError
+from jaxurban.checks import one_of
 from jaxurban.io.results import Result
 
 SHARES = (
@@ -45,9 +45,7 @@ class StudyResult(Result):
           InputError: the study has no such picture, or axes that are no cell of a grid.
         """
         figures = self.report.figures
-        if name not in figures:
-            drawn = ", ".join(figures) or "none"
-            raise InputError(f"the study has no picture {name!r}: name one of its own ({drawn})")
+        one_of("name", name, figures)
         return figures[name](ax=ax)
 
 

@@ -131,7 +131,7 @@ def study_command(
     )
     # Where the queries are those of a file, further ones are drawn, for a study of its own.
     own = shlex.quote(f"{folder}-more" if instances_file else str(folder))
-    typed = again("-o ", "--instances ", "--set study.instances ")
+    typed = again("-o", "--instances", "--set study.instances")
     result = replace(result, again=f"{typed} -o {own}")
     report_file = result.save(analysis)[-1]
     log_lines(result.decided.facts)

@@ -139,16 +139,14 @@ def tune_command(
             files.append(word)
 
     # What fits again: these routes, of which more are held out, or routes that are drawn.
-    held_out = ",".join([*fits, "hold_out={share}"])
-    same_fit = f" --fit {','.join(fits)}" if fits else ""
+    tested = (
+        f"{again('-o', '--fit')} --fit {','.join([*fits, 'hold_out={share}'])} -o {output}-tested"
+    )
     more = ""
     if sample or wishes:
-        files = [f"{file} " for file in chain(*files_of.values())]
-        more = again("-o ", "--fit ", "--sample ", *files) + same_fit
-        more += f" --sample {{needed}} -o {output}-{{needed}}"
-    commands = FitCommands(
-        f"{again('-o ', '--fit ')} --fit {held_out} -o {output}-tested", more, str(output)
-    )
+        files = map(str, chain(*files_of.values()))
+        more = f"{again('-o', '--sample', *files)} --sample {{needed}} -o {output}-{{needed}}"
+    commands = FitCommands(tested, more, str(output), sample)
     settings = TuneSettings(
         routes=values_given(routes),
         sample=sample,

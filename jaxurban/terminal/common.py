@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -437,24 +438,22 @@ def run_study(
     return result
 
 
+FLAGS = ("--json", "--overwrite")  # of a command that is run again they are left out
+VALUE = "[ =](?:[^ ']|'[^']*')+"  # of an option, as a shell reads it
+
+
 def again(*dropped: str) -> str:
-    """Return the command that runs, as it was typed, without ``--json``, ``--overwrite`` and some options.
+    """Return the command that runs, as it was typed, without ``--json``, ``--overwrite`` and some words.
 
     Args:
-      dropped: beginnings of options and their values that are left out, as ``"-o "`` or ``"--set study.instances "``;
-        or of other words.
+      dropped: options that are left out with their values, as ``"-o"`` or ``"--set study.instances"``; or other words.
     """
-    words = click.get_current_context().meta[TYPED]
-    words = [word for word in words if word not in ("--json", "--overwrite")]
-    kept = ["jaxurban"]
-    is_value = False  # of an option that is left out
-    for word, value in zip(words, [*words[1:], ""], strict=True):
-        pair = f"{word} {value}".replace("=", " ", 1)
-        is_dropped = not is_value and pair.startswith(dropped)
-        if not (is_value or is_dropped):
-            kept.append(word)
-        is_value = is_dropped and word.startswith("-") and "=" not in word
-    return shlex.join(kept)
+    typed = [each for each in click.get_current_context().meta[TYPED] if each not in FLAGS]
+    line = shlex.join(["jaxurban", *typed])
+    for words in dropped:
+        value = VALUE if words.startswith("-") else ""
+        line = re.sub(f" {re.escape(words)}{value}(?= |$)", "", line)
+    return line
 
 
 def report_places(output: Path) -> Settings:

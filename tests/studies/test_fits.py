@@ -353,18 +353,21 @@ def test_a_wish_asks_for_more_routes_at_once_or_to_hold_out_more_of_them(small):
         assert len(verdicts) == 2
         assert needed == num
         assert verdicts[0].is_decided == is_tested
-    commands = FitCommands("hold out {share}", "draw {needed}", drawn=2.0)
-    assert commands.holding_out(8, 20) == "hold out 0.4"
+    commands = FitCommands("hold out {share}", "draw {needed}", sample=24)
+    assert commands.holding_out(6, 12) == "hold out 0.5"
     assert commands.holding_out(8, 12) == "draw 64"  # a quarter of them, half of which are joined
-    assert commands.holding_out(30, 20, share=1.0) == "draw 60"
+    assert commands.holding_out(30, 12, share=1.0) == "draw 60"
     assert FitCommands("hold out {share}").holding_out(8, 12) == ""
 
 
 def test_a_fit_says_what_an_interval_takes_and_how_more_routes_are_held_out(demonstrations):
     quick = {"bootstrap": 0, "settings": FitSettings(max_rounds=1)}
-    for num, lacking, share in ((12, "an interval takes 16 routes", ""), (16, "none was", "0.5")):
+    for num, share in ((12, ""), (16, "0.5")):
         fit = fit_weights(demonstrations[:num], **quick)
-        assert lacking in fit.decided.facts["not decided"]
+        assert (
+            f"on {num} routes; an interval takes 8 pairs of ends"
+            in fit.decided.facts["not decided"]
+        )
         assert (f"hold_out={share})" in fit.decided.next_command) == bool(share)
     assert "jaxurban sensitivity" in fit_weights(demonstrations[:12], **quick).decided.next_command
 

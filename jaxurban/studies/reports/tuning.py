@@ -134,9 +134,8 @@ def run_tuning(
                 fit = fit_weights(routes, **options, settings=settings_of_fit)
                 routes = list(compress(routes, ~fit.is_held_out))
 
-            # The routes under the fitted weights, and all files. Of the routes that are drawn some have no path.
-            drawn = (settings.sample or fit.num_pairs) / fit.num_pairs
-            fit = replace(fit, commands=settings.commands._replace(drawn=drawn))
+            # The routes under the fitted weights, and all files.
+            fit = replace(fit, commands=settings.commands)
             report("routes under the fitted weights")
             planned = optimal_demonstrations([each.query for each in routes], fit.weights)
 

@@ -34,7 +34,10 @@ class FitVerdict(Enum):
     FOLLOWED = (
         "routes that the fit did not see cost {size} more than the cheapest under the weights ({n})"
     )
-    UNTESTED = "how much more than the cheapest other routes cost is open: {size} on {n}, {lacking}"
+    UNTESTED = (
+        "how much more than the cheapest other routes cost is open: {size} on {n}; an interval takes {takes} pairs of "
+        "ends that are held out"
+    )
     WEIGHED = "the weight of {first} is {size}"
     CONSTANT = "{first} is the same everywhere on these maps: its weight cannot be identified and is left at 0"
     STEPS = (

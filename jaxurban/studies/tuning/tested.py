@@ -51,13 +51,13 @@ class FitCommands(NamedTuple):
       again: the same routes, of which ``{share}`` are held out.
       more: ``{needed}`` routes that are drawn; empty where routes are only as they were given.
       folder: beside which further studies are kept; empty: the folder of the maps.
-      drawn: how many routes are drawn for each pair of ends that some path joins.
+      sample: number of routes that were drawn, of which a path joins the pairs of ends of the fit; None: none were.
     """
 
     again: str
     more: str = ""
     folder: str = ""
-    drawn: float = 1.0
+    sample: int | None = None
 
     def holding_out(self, needed: float, num_pairs: int, share: float = USUAL_SHARE) -> str:
         """Return the command of a fit that is tested on as many pairs of ends as are needed; empty where none is known.
@@ -69,7 +69,8 @@ class FitCommands(NamedTuple):
         """
         if needed <= MOST_ASKED * num_pairs:
             return self.again.replace("{share}", f"{math.ceil(100 * needed / num_pairs) / 100:g}")
-        return self.more.replace("{needed}", f"{math.ceil(self.drawn * needed / share)}")
+        drawn = (self.sample or num_pairs) / num_pairs
+        return self.more.replace("{needed}", f"{math.ceil(drawn * needed / share)}")
 
 
 def split(city: np.ndarray, group: np.ndarray, share: float | None, seed: int) -> np.ndarray:

@@ -15,7 +15,6 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters, Interval
 from jaxurban.statistics.conclusions import Conclusion, Verdict
-from jaxurban.studies.decided import FEWEST_TO_HOLD_OUT
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import (
     RouteQuery,
@@ -135,10 +134,8 @@ class WeightFit:
         if np.isnan(low):
             # As many pairs of ends as have an interval, beside the outliers, which do not count.
             needed = max(FEWEST_GROUPS, self.num_tested + 1) + self.num_held_out - self.num_tested
-            facts = {"lacking": self._lacking(needed)}
-            verdicts = [
-                Verdict(FitVerdict.UNTESTED, (), size, n=num, unit="%", needed=np.nan, facts=facts)
-            ]
+            about = {"needed": np.nan, "facts": {"takes": needed}}
+            verdicts = [Verdict(FitVerdict.UNTESTED, (), size, n=num, unit="%", **about)]
             command = self.commands.holding_out(needed, self.num_pairs)
         else:
             verdicts = [Verdict(FitVerdict.FOLLOWED, (), size, low, high, num, "%")]
@@ -155,14 +152,6 @@ class WeightFit:
             folder = self.commands.folder or str(self.query.cost_map.maps.folder or "DIR")
             command = command_to_vary(self.query, self.weights, f"{folder}-weights")
         return Conclusion(tuple(verdicts), command or command_to_plan(self.query, self.weights))
-
-    def _lacking(self, needed: int) -> str:
-        """Return what an interval of the regret of other routes takes, in words; ``needed`` pairs of ends held out."""
-        if self.num_pairs < FEWEST_TO_HOLD_OUT:
-            return f"and an interval takes {FEWEST_TO_HOLD_OUT} routes"
-        if not self.num_held_out:
-            return "of which none was held out"
-        return f"and an interval takes {needed} pairs of ends that are held out"
 
     @property
     def cautions(self) -> list[str]:

@@ -40,6 +40,7 @@ OF_WEIGHT = (
     *(f"more_{name}" for name in PAID),
 )
 TOGETHER = "together:"  # begins the columns of two weights, as "together:gps,risk"
+SIGNS = np.array([(1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (-1.0, -1.0)])  # of two weights
 TEXTS = ("city", "status", "note", "vary", "change")
 
 
@@ -117,32 +118,32 @@ class WeightsJob(RouteJob):
                 f"{kind}:{name}": each for kind, each in zip(OF_WEIGHT[1:], values, strict=True)
             }
 
-        for pair, extra in two_wrong(pool, weights, varied, settings.wrong).items():
-            facts[TOGETHER + pair] = extra / cost
+        facts |= two_wrong(pool, weights, cost, varied, settings.wrong)
         elapsed_s = time.perf_counter() - begin_s
         return [facts | {"num_plans": pool.num_plans + 2 * len(varied) + 1, "elapsed_s": elapsed_s}]
 
 
 def two_wrong(
-    pool: RoutePool, weights: np.ndarray, columns: Mapping[str, int], factor: float
+    pool: RoutePool, weights: np.ndarray, cost: float, columns: Mapping[str, int], factor: float
 ) -> dict[str, float]:
     """Return of each two weights what both cost more that are wrong in opposite directions than in the same one.
 
-    It is half of the difference of two routes and two, under the true weights.
+    It is half of the difference of two routes and two, under the true weights, as a share of the cost, by `TOGETHER`
+    and their names.
 
     Args:
       pool: of one query; routes found join it.
       weights: ``[K]`` the true ones.
+      cost: of the cheapest route under them.
       columns: of the weights that vary, by name.
       factor: by which a weight is too large or too small.
     """
     more = {}
     for one, other in combinations(columns, 2):
-        places = np.tile(weights, (4, 1))
-        places[:, columns[one]] *= factor ** np.array([1, -1, 1, -1])
-        places[:, columns[other]] *= factor ** np.array([-1, 1, 1, -1])
-        costs = pool.cheapest(places)[0, 0] @ weights
-        more[f"{one},{other}"] = float(costs @ [0.5, 0.5, -0.5, -0.5])
+        wrong = np.tile(weights, (4, 1))
+        wrong[:, [columns[one], columns[other]]] *= factor**SIGNS
+        costs = pool.cheapest(wrong)[0, 0] @ weights
+        more[f"{TOGETHER}{one},{other}"] = float(costs @ [0.5, 0.5, -0.5, -0.5]) / cost
     return more
 
 
