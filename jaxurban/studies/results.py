@@ -5,11 +5,11 @@ from typing import Any
 
 import pandas as pd
 
-from jaxurban.checks import one_of
+from jaxurban.errors import InputError
 from jaxurban.io.results import Result
 
 SHARES = (
-    *("share", "changes", "regret", "more_cost", "overlap"),
+    *("share", "changes", "regret", "regret_alone", "more_cost", "overlap"),
     *("is_other", "nominal_regret", "nominal_is_closed"),
 )
 FACTORS = ("nearest", "below", "above", "first", "factor")
@@ -45,7 +45,9 @@ class StudyResult(Result):
           InputError: the study has no such picture, or axes that are no cell of a grid.
         """
         figures = self.report.figures
-        one_of("name", name, figures)
+        if name not in figures:
+            drawn = ", ".join(figures) or "none"
+            raise InputError(f"the study has no picture {name!r}: name one of its own ({drawn})")
         return figures[name](ax=ax)
 
 
