@@ -17,7 +17,7 @@ FACTORS = ("nearest", "below", "above", "first", "factor")
 UNITS = {
     **dict.fromkeys((*SHARES, "elasticity", "together"), "share, of 1"),
     **dict.fromkeys(FACTORS, "times the weight"),
-    **dict.fromkeys(("size", "solved", "proven", "cost_change"), "%"),
+    **dict.fromkeys(("size", "solved", "proven", "gap", "cost_change"), "%"),
     **dict.fromkeys(("people_below", "more_people_below"), "people"),
 }
 
