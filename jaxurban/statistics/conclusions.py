@@ -7,7 +7,7 @@ whose values are sentences with places for the record's fields (`Verdict.sentenc
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -24,7 +24,7 @@ FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effe
 MOST_RUNS = 1e6  # more are called "no number"
 SAME = 1e-9  # relative, and in the unit of the values: what differs by less is equal
 SHOWN = 3  # sentences of a line
-FAR = 20  # times the runs of a study are very many
+FAR = 20  # times the runs of a study are very many, which no command asks for
 
 
 class SharedVerdict(Enum):
@@ -209,16 +209,19 @@ def concluded(
       factor: how many runs the command makes for each one of ``ran``.
       ran: how many the study has; fewer may count for a verdict (`_runs_for`).
     """
-    # What wider maps decide goes before what only very many runs would.
-    open_ones = [each for each in verdicts if 0 < each.needed < math.inf]
     command = done
     if any(each.kind is SharedVerdict.BORDER for each in verdicts):
         command = wider
-        open_ones = [each for each in open_ones if each.needed < FAR * max(each.n, 1)]
+    open_ones = within_reach(verdicts)
     if open_ones:
         num = factor * min(_runs_for(each, ran) for each in open_ones)
         command = more.replace("{needed}", str(math.ceil(num)))
     return Conclusion(tuple(verdicts), command)
+
+
+def within_reach(verdicts: Iterable[Verdict]) -> list[Verdict]:
+    """Return what is open and would be decided by more runs, but not by very many more (`FAR`)."""
+    return [each for each in verdicts if 0 < each.needed < FAR * max(each.n, FEWEST_GROUPS)]
 
 
 def _runs_for(verdict: Verdict, ran: int) -> float:

@@ -20,7 +20,6 @@ from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.programs import kept_jit
 from jaxurban.progress import Report, reporting
 from jaxurban.statistics.conclusions import Conclusion
-from jaxurban.studies.decided import USUAL_SHARE
 from jaxurban.studies.queries import (
     LENGTH,
     PEOPLE,
@@ -114,7 +113,7 @@ class TargetFit:
             self.tested, self.targets, is_tested=bool(self.is_held_out.any()), is_kept=self.is_kept
         )
         if needed:
-            share = 1.0 if self.is_kept else USUAL_SHARE
+            share = float(self.is_held_out.mean())
             command = self.commands.holding_out(needed, self.num_pairs, share)
         return Conclusion(verdicts, command or command_to_plan(self.queries[0], self.weights))
 

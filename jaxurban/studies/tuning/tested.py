@@ -10,7 +10,7 @@ import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters, interval_columns
-from jaxurban.statistics.conclusions import Verdict, runs_needed
+from jaxurban.statistics.conclusions import Verdict, runs_needed, within_reach
 from jaxurban.studies.decided import FEWEST_TO_HOLD_OUT, USUAL_SHARE, effects
 from jaxurban.studies.queries import (
     LENGTH,
@@ -59,18 +59,18 @@ class FitCommands(NamedTuple):
     folder: str = ""
     sample: int | None = None
 
-    def holding_out(self, needed: float, num_pairs: int, share: float = USUAL_SHARE) -> str:
+    def holding_out(self, needed: float, num_pairs: int, share: float) -> str:
         """Return the command of a fit that is tested on as many pairs of ends as are needed; empty where none is known.
 
         Args:
           needed: pairs of ends.
           num_pairs: that the fit had, held out or not.
-          share: of those of a larger fit that it is tested on.
+          share: of these that it was tested on; 0: `USUAL_SHARE` will be.
         """
         if needed <= MOST_ASKED * num_pairs:
             return self.again.replace("{share}", f"{math.ceil(100 * needed / num_pairs) / 100:g}")
-        drawn = (self.sample or num_pairs) / num_pairs
-        return self.more.replace("{needed}", f"{math.ceil(drawn * needed / share)}")
+        drawn = (self.sample or num_pairs) / num_pairs / (share or USUAL_SHARE)
+        return self.more.replace("{needed}", f"{math.ceil(drawn * needed)}")
 
 
 def split(city: np.ndarray, group: np.ndarray, share: float | None, seed: int) -> np.ndarray:
@@ -193,10 +193,8 @@ def wish_verdicts(
         facts = {"largest": row["largest"]}
         about = size, low, high, row["n"], row["unit"], PAIRS, needed, facts
         verdicts.append(Verdict(kind, (label,), *about))
-    open_needs = [each.needed for each in verdicts if 0 < each.needed < np.inf]
-    if not is_tested:
-        open_needs = [FEWEST_GROUPS]
-    return tuple(verdicts), min(open_needs, default=0.0)
+    needs = [each.needed for each in within_reach(verdicts)] if is_tested else [FEWEST_GROUPS]
+    return tuple(verdicts), min(needs, default=0.0)
 
 
 def _kind_of(is_met: bool, needed: float, is_kept: bool) -> WishVerdict:

@@ -45,6 +45,7 @@ from jaxurban.studies.tuning.weight_fit_rounds import (
 # is left out first; among routes at any angle another one is the cheapest than on the grid, by less than the second.
 OPTIMAL_REGRET, OPTIMAL_DRAWN_REGRET = 0.005, 0.01
 IN_PYTHON = FitCommands("ju.fit.fit_weights(demonstrations, hold_out={share})")
+DIGITS = 6  # of percents; what is less is rounding
 FEW = 2  # demonstrations per weight
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
@@ -128,7 +129,7 @@ class WeightFit:
     def decided(self) -> Conclusion:
         """How far routes that were held out follow the weights, which of these are known, and which are not."""
         tested = self.tested if self.num_tested else Interval(self.regret.mean(), np.nan, np.nan)
-        size, low, high = (100 * np.array(tested)).tolist()
+        size, low, high = (100 * np.array(tested)).round(DIGITS).tolist()
         num = self.num_tested or len(self.regret)
         command = ""
         if np.isnan(low):
@@ -136,7 +137,9 @@ class WeightFit:
             needed = max(FEWEST_GROUPS, self.num_tested + 1) + self.num_held_out - self.num_tested
             about = {"needed": np.nan, "facts": {"takes": needed}}
             verdicts = [Verdict(FitVerdict.UNTESTED, (), size, n=num, unit="%", **about)]
-            command = self.commands.holding_out(needed, self.num_pairs)
+            command = self.commands.holding_out(
+                needed, self.num_pairs, self.num_held_out / self.num_pairs
+            )
         else:
             verdicts = [Verdict(FitVerdict.FOLLOWED, (), size, low, high, num, "%")]
 

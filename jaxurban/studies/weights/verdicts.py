@@ -182,7 +182,7 @@ def together_verdicts(table: pd.DataFrame, settings: SensitivitySettings) -> Ite
     rows: Any = shown.itertuples()
     for row in rows:
         needed = row.needed if row.n > 1 else math.nan
-        about = row.size, row.low, row.high, row.n, OF_COST, "routes", needed
+        about = row.size, row.low, row.high, row.n, OF_COST, PAIRS, needed
         facts = {"wrong": settings.wrong}
         yield Verdict(WeightVerdict.TOGETHER, tuple(row.weights.split(",")), *about, facts)
 
