@@ -203,7 +203,7 @@ def concluded(
 
     Args:
       verdicts: the most important first.
-      more: command of more runs, with a place for ``{needed}``: the fewest that would decide one of the verdicts.
+      more: command of more runs, with a place for ``{needed}``: as many as would decide the first that is open.
       done: where nothing is left that a study of this kind decides.
       wider: of maps of wider bounds, where only they would decide.
       factor: how many runs the command makes for each one of ``ran``.
@@ -214,7 +214,7 @@ def concluded(
         command = wider
     open_ones = within_reach(verdicts)
     if open_ones:
-        num = factor * min(_runs_for(each, ran) for each in open_ones)
+        num = factor * _runs_for(open_ones[0], ran)
         command = more.replace("{needed}", str(math.ceil(num)))
     return Conclusion(tuple(verdicts), command)
 

@@ -194,7 +194,7 @@ def wish_verdicts(
         about = size, low, high, row["n"], row["unit"], PAIRS, needed, facts
         verdicts.append(Verdict(kind, (label,), *about))
     needs = [each.needed for each in within_reach(verdicts)] if is_tested else [FEWEST_GROUPS]
-    return tuple(verdicts), min(needs, default=0.0)
+    return tuple(verdicts), next(iter(needs), 0.0)
 
 
 def _kind_of(is_met: bool, needed: float, is_kept: bool) -> WishVerdict:
