@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -147,7 +148,9 @@ class MapComparison(StudyResult):
             more = f"jaxurban compare {a} {b} {which} --routes {{needed}} -o {b}_routes_{{needed}}"
             view = f"jaxurban view {b} {which}"
             bounds = wider_bounds(self.a.grid)
-            wider = f'jaxurban maps {a} {b} -o {b}_wider --set "region.bounds={bounds}"'
+            wider = f'jaxurban maps {a} {b} -o {b}_wider --set "region.bounds={bounds}" && jaxurban compare '
+            wider += " ".join(f"{b}_wider/{shlex.quote(Path(name).name)}" for name in self.names)
+            wider += f" {which} --routes {USUAL_ROUTES} -o {b}_wider_routes"
         command = more if self.routes.empty else view
         done = command.replace("{needed}", str(USUAL_ROUTES))
         num = 0 if self.routes.empty else self.routes.pair.nunique()
@@ -208,8 +211,8 @@ class MapComparison(StudyResult):
         of_a, of_b = self.a.guesses, self.b.guesses
         if of_a != of_b:
             facts = {
-                "of_a": names_of(each for each in of_a if each not in of_b),
-                "of_b": names_of(each for each in of_b if each not in of_a),
+                "of_a": names_of(each for each in of_a if each not in of_b) or "nothing",
+                "of_b": names_of(each for each in of_b if each not in of_a) or "nothing",
             }
             yield Verdict(MapVerdict.GUESSES, needed=np.nan, facts=facts)
 

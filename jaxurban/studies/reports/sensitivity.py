@@ -22,14 +22,14 @@ from jaxurban.draw.write import (
 )
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.queries import WEIGHT_PREFIX
+from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
 from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded
 from jaxurban.studies.decided import FEWEST_RUNS, wider_bounds
 from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes, plot_regret
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
-from jaxurban.studies.queries import population_norms, weights_option
+from jaxurban.studies.queries import ends_option, population_norms, weights_option
 from jaxurban.studies.results import SHARES, StudyResult, with_units
 from jaxurban.studies.weights import summary
 from jaxurban.studies.weights.one_route import MORE, OneRoute
@@ -166,16 +166,24 @@ class Sensitivity(StudyResult):
             options += f"--weights {weights_option(weights, metrics)} "
         if self.rules.snap:
             options += "--snap "
-        command = f"jaxurban sensitivity {folders} {options}-o {self.folder or 'out/sensitivity'}-more --routes"
+        options += f"-o {self.folder or 'out/sensitivity'}"
+        command = f"jaxurban sensitivity {folders} {options}-more --routes"
         others = f"{command} {MORE_ROUTES}"
+
+        # The same over maps of wider bounds: of one route its ends, of many as many.
+        place = f"{first.folder or 'DIR'}-wider"
+        again = f"--routes {self.instances.instance.nunique()}"
+        if self.route:
+            ends_m = self.instances[[*IN_METRES]].to_numpy(float).reshape(2, 2)
+            again = ends_option(first.grid, ends_m)
         if self.is_sampled:  # other routes than these
             others += f" --study seed={self.settings.seed + 1}"
         return concluded(
             verdicts,
             more=command + " {needed}",
             done=others,
-            wider=f"jaxurban maps {first.folder or 'SCENARIO'} -o {first.folder or 'DIR'}-wider --set "
-            f'"region.bounds={wider_bounds(first.grid)}"',
+            wider=f'jaxurban maps {first.folder or "SCENARIO"} -o {place} --set "region.bounds='
+            f'{wider_bounds(first.grid)}" && jaxurban sensitivity {place} {options}-wider {again}',
             factor=1 / len(self.maps),
         )
 
