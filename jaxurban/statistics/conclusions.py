@@ -24,7 +24,10 @@ FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effe
 MOST_RUNS = 1e6  # more are called "no number"
 SAME = 1e-9  # relative, and in the unit of the values: what differs by less is equal
 SHOWN = 3  # sentences of a line
-FAR = 20  # times the runs of a study are very many, which no command asks for
+FAR, MOST_ASKED_FOR = (
+    20,
+    1000,
+)  # times the runs of a study, and runs, beyond which no command asks for more
 
 
 class SharedVerdict(Enum):
@@ -220,8 +223,12 @@ def concluded(
 
 
 def within_reach(verdicts: Iterable[Verdict]) -> list[Verdict]:
-    """Return what is open and would be decided by more runs, but not by very many more (`FAR`)."""
-    return [each for each in verdicts if 0 < each.needed < FAR * max(each.n, FEWEST_GROUPS)]
+    """Return what is open and would be decided by more runs, but not by too many (`FAR`, `MOST_ASKED_FOR`)."""
+    return [
+        each
+        for each in verdicts
+        if 0 < each.needed < min(FAR * max(each.n, FEWEST_GROUPS), MOST_ASKED_FOR)
+    ]
 
 
 def _runs_for(verdict: Verdict, ran: int) -> float:

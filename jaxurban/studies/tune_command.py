@@ -144,8 +144,8 @@ def tune_command(
     )
     more = ""
     if sample or wishes:
-        files = map(str, chain(*files_of.values()))
-        more = f"{again('-o', '--sample', *files)} --sample {{needed}} -o {output}-{{needed}}"
+        own = map(str, chain(*files_of.values()))
+        more = f"{again('-o', '--sample', *own)} --sample {{needed}} -o {output}-{{needed}}"
     commands = FitCommands(tested, more, str(output), sample)
     settings = TuneSettings(
         routes=values_given(routes),

@@ -3,7 +3,7 @@
 import itertools
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -135,8 +135,8 @@ class WeightFit:
         if np.isnan(low):
             # As many pairs of ends as have an interval, beside the outliers, which do not count.
             needed = max(FEWEST_GROUPS, self.num_tested + 1) + self.num_held_out - self.num_tested
-            about = {"needed": np.nan, "facts": {"takes": needed}}
-            verdicts = [Verdict(FitVerdict.UNTESTED, (), size, n=num, unit="%", **about)]
+            open_size = Verdict(FitVerdict.UNTESTED, (), size, n=num, unit="%", needed=np.nan)
+            verdicts = [replace(open_size, facts={"takes": needed})]
             command = self.commands.holding_out(
                 needed, self.num_pairs, self.num_held_out / self.num_pairs
             )
