@@ -60,8 +60,8 @@ def maps_command(
 ) -> ExitCode:
     """Make the metric maps of each SCENARIO.
 
-    SCENARIO is a file in TOML. The maps are written as Zarr and GeoTIFF, those of several scenarios each to a folder of
-    its scenario's name below the output folder.
+    SCENARIO is a file in TOML, or a folder of maps, which are made again with what --set changes. The maps are written
+    as Zarr and GeoTIFF, those of several scenarios each to a folder of its scenario's name below the output folder.
     """
     from jaxurban.maps.free_memory import parse_bytes
 

@@ -69,7 +69,7 @@ def study_command(
 ) -> int:
     """Run planners on many random queries, and report.
 
-    The planners are those of [study] in SCENARIO, and the queries are over its maps.
+    The planners are those of [study] in SCENARIO, a file or a folder of maps, and the queries are over its maps.
     """
     from jaxurban.maps.scenario import OF_SAMPLING
     from jaxurban.maps.sources import read_scenario

@@ -10,7 +10,7 @@ import jaxurban as ju
 from jaxurban.io.files import read_json, write_json
 from jaxurban.io.stored import RUN_FILE
 from jaxurban.maps.run import run_scenario
-from jaxurban.maps.sources import city_of
+from jaxurban.maps.sources import city_of, read_scenario
 from jaxurban.world.kinds import ALL_KINDS
 from tests.cli_runs import write_city
 from tests.made_maps import made_maps
@@ -48,6 +48,18 @@ def test_a_file_that_is_gone_or_changed_is_named(folder, maps, tmp_path):
     for place in (tmp_path, tmp_path / "empty", tmp_path / "none"):
         with pytest.raises(ju.InputError, match=r"no longer there as it was \('city\.geojson'\)"):
             city_of(maps, place)
+
+
+def test_a_folder_of_maps_is_the_scenario_of_its_run_with_changes(folder, maps):
+    file = read_scenario(folder / "town.toml", ["gps.mask_deg=40"])
+    again = read_scenario(maps, ["gps.mask_deg=40"])
+    assert again.gps.mask_deg == 40
+    assert again == file
+    assert again.path_of(again.buildings.source).samefile(folder / "city.geojson")
+    with pytest.raises(ju.InputError, match="unknown"):
+        read_scenario(maps, ["gps.musk_deg=40"])
+    with pytest.raises(ju.InputError, match="not made by `jaxurban maps`"):
+        read_scenario(folder)
 
 
 def test_maps_in_memory_or_saved_from_python_ask_for_the_city(tmp_path):
