@@ -150,10 +150,14 @@ class WeightFit:
         verdicts += [_weight_verdict(FitVerdict.WEIGHED, row) for row in known.itertuples()]
         verdicts += self.verdicts
 
-        # Where no further fit decides more: whether what is open matters to routes, else what the weights are for.
+        # Where no further fit decides more: whether what is open matters to routes, else what the weights are for. An
+        # open weight of 0 is asked about at the other end of its interval.
         if not command and not all(each.is_decided for each in verdicts):
             folder = self.commands.folder or str(self.query.cost_map.maps.folder or "DIR")
-            command = command_to_vary(self.query, self.weights, f"{folder}-weights")
+            is_open_at_0 = self.table.index.isin(unknown) & (self.table.weight == 0)
+            asked = self.table.weight.mask(is_open_at_0, self.table.high.fillna(0.0))
+            weights = weights_from(self.query, asked.to_numpy())
+            command = command_to_vary(self.query, weights, f"{folder}-weights")
         return Conclusion(tuple(verdicts), command or command_to_plan(self.query, self.weights))
 
     @property
