@@ -113,7 +113,7 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     assert [*tested.index] == ["mean_gps >= 0.999", "detour <= 0.3", "length_m"]
     assert np.all(tested.largest.abs() >= tested.change.abs())
     first = facts["decided"]["lines"]["not decided"]  # as so few pairs have no interval
-    assert first.startswith("detour <= 0.3 is met without the wish already: ")
+    assert first.startswith("whether mean_gps >= 0.999 holds on other routes is open: ")
     assert "Means over 4 routes, of which the fit saw none" in report
     assert "as given" not in report
 

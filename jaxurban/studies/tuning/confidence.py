@@ -198,15 +198,22 @@ def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray
 def without_dust(weights: np.ndarray, pool: RoutePool) -> np.ndarray:
     """Return ``[K]`` weights that sum to 1; those that change the cost of no known route by `DUST` are 0.
 
+    A weight stays without which the cheapest routes cost more by `DUST`: no known route pays for what it keeps away.
+
     Args:
       weights: ``[K]`` of features in their own units.
-      pool: the known routes.
+      pool: the known routes; those that are cheapest without a weight join it.
     """
     routes = pool.routes[0]
     costs = routes[routes[..., 0] < NOT_A_ROUTE] * weights
     shares = costs / np.maximum(costs.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     kept = np.maximum(weights / weights.sum(), LEAST_WEIGHT)
-    kept[shares.max(axis=0) < DUST] = 0.0
+    for column in np.flatnonzero(shares.max(axis=0) < DUST):
+        without = kept.copy()
+        without[column] = 0.0
+        with_it, without_it = (pool.cheapest(np.stack([kept, without]))[0] @ kept).T
+        if np.all(without_it <= (1 + DUST) * with_it):
+            kept = without
     return kept / kept.sum()
 
 
