@@ -24,10 +24,8 @@ FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effe
 MOST_RUNS = 1e6  # more are called "no number"
 SAME = 1e-9  # relative, and in the unit of the values: what differs by less is equal
 SHOWN = 3  # sentences of a line
-FAR, MOST_ASKED_FOR = (
-    20,
-    1000,
-)  # times the runs of a study, and runs, beyond which no command asks for more
+FAR = 20  # times the runs of a study, beyond which no command asks for more
+MOST_ASKED_FOR = 1000  # runs, beyond which none does either
 
 
 class SharedVerdict(Enum):
