@@ -11,6 +11,7 @@ import pandas as pd
 import pyproj
 import shapely
 
+from jaxurban.cities.estimates import with_estimates
 from jaxurban.cities.heights import parse_height_m
 from jaxurban.cities.outlines import Outlines
 from jaxurban.errors import InputError
@@ -71,6 +72,7 @@ class CityObject:
     Attributes:
       kind: as both formats call it, such as ``"BuildingPart"``.
       height, levels: as the file has them: of the roof above the ground, and of storeys.
+      origin: what the file says of how the height is known, by an attribute of `METHODS`.
       faces: in all levels of detail; those of `NO_LEVEL` always count.
       pieces: its parts, installations and what else belongs to it or stands within it.
     """
@@ -78,6 +80,7 @@ class CityObject:
     kind: str
     height: Any = None
     levels: Any = None
+    origin: Any = None
     faces: list[Face] = field(default_factory=list)
     pieces: list["CityObject"] = field(default_factory=list)
 
@@ -145,6 +148,7 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
             default=None,
         ),
         "levels": members[0].levels,
+        "height_source": next((one.origin for one in members if one.origin), None),
         "is_coarse": is_coarse,
     }
     if len(faces) < len(best):
@@ -234,7 +238,9 @@ def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -
     table = pd.DataFrame(bodies, dtype=object)
     polygons = table.pop("polygon").to_numpy()
     num_coarse = num_of(table.pop("is_coarse"))
+    origins = table.pop("height_source").to_numpy()
     tags = {str(name): table[name].to_numpy() for name in table}
+    tags = with_estimates(tags, {"height_source": origins})
 
     if not _is_x_first(crs, shapely.total_bounds(polygons), codes == crs_names):
         polygons = shapely.transform(polygons, lambda xyz: xyz[:, [1, 0, 2]], include_z=True)

@@ -11,6 +11,7 @@ from xml.parsers import expat
 import numpy as np
 
 from jaxurban.cities.bodies import NO_LEVEL, TAGS, UNREAD, CityObject, Face, bodies_of
+from jaxurban.cities.estimates import METHODS
 from jaxurban.errors import InputError
 from jaxurban.io.files import pieces_of
 
@@ -116,7 +117,9 @@ class _Model:
             has_lod = lod_of(name)
             inner_lod = float(has_lod[1]) if has_lod else lod
             first = len(one.faces)
-            if name in VALUES:
+            if name.endswith("Attribute") and child.get("name", "").lower() in METHODS:
+                one.origin = child.findtext("value")
+            elif name in VALUES:
                 unit = BESIDE_UNIT.sub("", child.get("uom", ""))
                 setattr(one, VALUES[name], f"{child.text or ''} {unit}")
             elif "href" in child.attrib and inner_lod != NO_LEVEL:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxurban.cities.bodies import NO_LEVEL, PIECE, UNREAD, CityObject, Face, bodies_of
+from jaxurban.cities.estimates import METHODS
 from jaxurban.errors import InputError
 
 # How deep the faces or lines of a geometry lie; points, and what a template draws, have no extent of their own.
@@ -81,6 +82,9 @@ def _object(thing: dict[str, Any], vertices: np.ndarray) -> CityObject:
     """
     facts = thing.get("attributes") or {}
     one = CityObject(thing["type"], facts.get("measuredHeight"), facts.get("storeysAboveGround"))
+    for name in facts:
+        if name.lower() in METHODS:
+            one.origin = facts[name]
     for geometry in thing.get("geometry") or ():
         lod = float(geometry.get("lod", NO_LEVEL))
         if not np.isfinite(lod):

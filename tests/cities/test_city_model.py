@@ -289,6 +289,22 @@ def test_a_footprint_has_the_measured_height_or_levels(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("source", "origin"), [("1000", HeightOrigin.HEIGHT), ("3000", HeightOrigin.ESTIMATED)]
+)
+def test_an_attribute_of_a_model_says_how_its_heights_are_known(tmp_path, source, origin):
+    said = f'<gen:stringAttribute name="DatenquelleDachhoehe"><gen:value>{source}</gen:value></gen:stringAttribute>'
+    text = citygml(thing(said + labelled(HOUSE), measuredHeight=9)).replace(
+        "xmlns:gml", 'xmlns:gen="urn:gen" xmlns:gml'
+    )
+    facts = {"attributes": {"measuredHeight": 9, "DatenquelleDachhoehe": source}}
+    document = json.dumps(cityjson({"house": (facts, HOUSE)}))
+    for name, content in (("a.gml", text), ("a.json", document)):
+        buildings, _, _ = stand(written(tmp_path / name, content))
+        assert {*buildings.origin} == {origin}
+        assert buildings.height_m.max() == pytest.approx(9)
+
+
+@pytest.mark.parametrize(
     ("unit", "height_m"),
     [
         *((unit, 20) for unit in ("m", "#m", "urn:adv:uom:m", "urn:ogc:def:uom:EPSG::9001")),
