@@ -24,7 +24,7 @@ from jaxurban.world.blocks import Blocks
 from jaxurban.world.extent import MAIN_SHARE, main_bounds
 from jaxurban.world.footprints import UNKNOWN, Footprints, HeightOrigin
 from jaxurban.world.grid import WGS84, Bounds, box_of, transformer
-from jaxurban.world.kinds import ALL_KINDS, EFFECTS, PLANTS, KindName, Obstacles
+from jaxurban.world.kinds import ALL_KINDS, EFFECTS, MOST_WOOD_M, PLANTS, KindName, Obstacles
 from jaxurban.world.raster import Raster
 
 if TYPE_CHECKING:
@@ -268,7 +268,7 @@ class City(FactsRepr):
             ("buildings", self.buildings),
             ("structures", self.structures),
             ("buildings", self._pixel(self.roofs, place, "roof")),
-            ("vegetation", self._pixel(self.vegetation, place, WOOD)),
+            ("vegetation", self._pixel(self.vegetation, place, WOOD, MOST_WOOD_M)),
         )
         with np.errstate(invalid="ignore"):  # of a place for which the CRS has no coordinates
             things = pd.concat(
@@ -290,7 +290,9 @@ class City(FactsRepr):
         stands = "this stands" if is_here else "nothing stands"
         return near.rename_axis(columns=f"{stands} at {lon:.6f}, {lat:.6f}")
 
-    def _pixel(self, raster: Raster | None, place: shapely.Point, kind: str) -> Footprints | None:
+    def _pixel(
+        self, raster: Raster | None, place: shapely.Point, kind: str, limit_m: float = np.inf
+    ) -> Footprints | None:
         """Return what a raster of heights holds at a place in the city's CRS; None without one.
 
         A pixel without a value is of unknown height where anything is known, and 0 m is nothing.
@@ -299,14 +301,23 @@ class City(FactsRepr):
           raster: of heights above the ground.
           place: where it is looked at.
           kind: of what it holds.
+          limit_m: its bound, where its height is unknown.
         """
         if raster is None:
             return None
         x_m, y_m = shapely.get_coordinates(place).T
         height_m = raster_values(raster, x_m, y_m, self.crs, "nearest")
         zero = np.zeros(1)
-        origin = zero + HeightOrigin.RASTER
-        pixel = Footprints(np.array([place]), height_m, zero, origin, zero, np.array([kind]))
+        origin = np.where(np.isnan(height_m), HeightOrigin.UNKNOWN, HeightOrigin.RASTER)
+        pixel = Footprints(
+            np.array([place]),
+            np.nan_to_num(height_m),
+            zero,
+            origin,
+            zero,
+            np.array([kind]),
+            limit_m=np.array([limit_m]),
+        )
         return pixel.take((height_m != 0) & shapely.intersects(self.known_area, place))
 
     def plot(self) -> "Figure":

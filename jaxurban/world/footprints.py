@@ -141,10 +141,11 @@ class Footprints(Rows):
 
     def facts_at(self, place: shapely.Point) -> dict[str, Any]:
         """Return ``[B]`` by the columns of `City.why` what each is, how high, and how far from a place in their CRS."""
+        is_unknown = (self.kinds == UNKNOWN) | (self.origin == HeightOrigin.UNKNOWN)
         return {
             "kind": self.named,
             "rule": self.rules,
-            "height_m": np.where(self.kinds == UNKNOWN, np.nan, self.height_m),
+            "height_m": np.where(is_unknown, np.nan, self.height_m),
             "known_by": [KNOWN_BY[origin] for origin in self.origin],
             "likely_m": self.likely_upper_m,
             "highest_m": self.upper_m,

@@ -150,6 +150,8 @@ def test_plants_of_a_raster_and_the_ground_are_named_beside_outlines():
     unknown = at(replace(city, vegetation=holed), 75, 130)
     assert unknown.columns.name.startswith("this stands")  # what is not known is not nothing
     assert np.isnan(unknown["height_m"][0])
+    assert unknown["highest_m"][0] == 45
+    assert unknown["known_by"][0] == KNOWN_BY[HeightOrigin.UNKNOWN]
 
 
 def test_a_city_of_a_raster_says_the_height_of_its_pixel_or_nothing():
