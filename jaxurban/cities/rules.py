@@ -6,7 +6,8 @@ what has a shape alone: points, or what is lone), or by a sign of `signs.py` tha
 (`Footprints.rule`). From the weakest:
 
 - `ALONE`: what decides only where no other rule holds, as grounds and places do, and what is low by its name. What lies
-  in a building of the file names a place in it, and what holds some is the ground of them: neither is lone.
+  in a building of the file, but for a small one, names a place in it, and what holds some is the ground of them, if
+  they cover a tenth of it: neither is lone.
 - `REASON`: a reason why nothing stands.
 - `GROUNDS`: something of no kind, which stands only with a height of its own, as the grounds of a plant do.
 - `UNSURE`: something of unknown kind or extent. Values are no sign of it where something is low or stands indoors, nor
