@@ -11,12 +11,13 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from enum import Enum
+from textwrap import shorten
 from typing import Any, Literal
 
 from jaxurban.errors import GuessWarning, in_words, warn
 
 LEAST_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
-MOST_OF_RULE = 60  # letters that are shown of the name of a rule, which may hold many values
+MOST_OF_RULE = 60  # letters that are shown of the name of a rule
 HIGHEST_M = 828.0  # Burj Khalifa, the highest building of the world
 
 
@@ -280,6 +281,11 @@ def warn_of(guesses: Guesses, known: Collection[Guess] = ()) -> None:
     for guess in guesses:
         if guess not in known:
             warn(guess.sentence, GuessWarning)
+
+
+def shown_rule(name: str) -> str:
+    """Return as much of the name of a rule, which may hold many values, as there is room for."""
+    return shorten(name, MOST_OF_RULE, placeholder=" ...")
 
 
 def percent(share: float) -> str:

@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.samples import located
 from jaxurban.io.sniff import LIDAR, sniff
 from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
-from jaxurban.knowledge import MOST_OF_RULE, names_of
+from jaxurban.knowledge import names_of, shown_rule
 from jaxurban.terminal.common import GIVEN, JSON_FLAG, LONLAT, Point, Settings, print_json
 from jaxurban.terminal.options import command
 
@@ -44,7 +44,7 @@ def info_command(path: Path, place: Point | None, as_json: bool) -> None:
             rows = json.loads(things.to_json(orient="records"))  # null where nothing is known
             print_json({"stands": things.columns.name, "numbers": rows})
         elif len(things):
-            things["rule"] = things["rule"].str.slice(stop=MOST_OF_RULE)
+            things["rule"] = things["rule"].map(shown_rule)
             print(things.T.to_string(header=False))
         else:
             print(things.columns.name)

@@ -28,7 +28,7 @@ from jaxurban.flights.return_altitude import NAME, return_altitude
 from jaxurban.io.city import City
 from jaxurban.io.store import OPENED
 from jaxurban.io.tables import number_or_none
-from jaxurban.knowledge import MOST_OF_RULE
+from jaxurban.knowledge import shown_rule
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
@@ -367,7 +367,7 @@ class Viewer:
         if city is None:
             return ""
         things = city.why(*query.place)
-        things["rule"] = things["rule"].str.slice(stop=MOST_OF_RULE)
+        things["rule"] = things["rule"].map(shown_rule)
         shown = things[["kind", "height_m", "highest_m", "known_by", "rule"]]
         table = shown.to_html(index=False, index_names=False, border=0, na_rep="?")
         return sentences([("note", str(things.columns.name))]) + table

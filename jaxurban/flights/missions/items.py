@@ -361,10 +361,10 @@ def _item_of_plan(value: Any, number: int) -> Item:
     if row.get("doJumpId") is not None:
         key = whole_of(f"doJumpId of {what}", row["doJumpId"])
     if row.get("type") != "SimpleItem":
-        kind = str(row.get("complexItemType"))[:40]
-        if not kind.isidentifier():
-            kind = "strange item"
+        kind = str(row.get("complexItemType", row.get("type")))[:40]
         what = f"a {kind} (ComplexItem)"
+        if not kind.isidentifier() or kind == "None":
+            what = "an item without a known type"
         if kind in SURVEYS:
             what = "a survey without its waypoints (open and save it in QGroundControl)"
         return Item(number, key, command=-1, what=what)

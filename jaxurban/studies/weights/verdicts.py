@@ -146,7 +146,7 @@ def _ranks(
     # Routes that the border may have made, if one of the weights is wrong.
     sent = varied.groupby([*ROUTE_KEY]).more_at_edge.max()
     yield from border_verdict(
-        sent.to_numpy() > 0, f"routes with one weight {settings.wrong:g} times wrong"
+        sent.to_numpy() > 0, f"routes, only with one weight {settings.wrong:g} times wrong,"
     )
 
 
