@@ -254,7 +254,11 @@ def _summary(case: Case) -> pd.DataFrame:
     for name, least in (("regret", 0.0), ("nearest", 1.0)):
         values = least + rng.exponential(0.1, (3, len(table))).cumsum(axis=0)
         table[f"{name}_low"], table[name], table[f"{name}_high"] = values
-    table.loc[::5, ["regret_low", "regret_high", "nearest_low", "nearest_high"]] = np.nan
+    half = (table["regret_high"] - table["regret_low"]) / 4  # of the interval of each weight alone
+    table["regret_alone_low"] = np.maximum(table["regret"] - half, 0.0)
+    table["regret_alone_high"] = table["regret"] + half
+    ends = [name for name in table if str(name).endswith(("_low", "_high"))]
+    table.loc[::5, ends] = np.nan
     return table
 
 

@@ -145,7 +145,7 @@ def _made(
     """
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.provenance import finished
-    from jaxurban.maps.sources import read_scenario
+    from jaxurban.maps.scenario_files import read_scenario
 
     scenario = read_scenario(scenario_file, changes)
 

@@ -12,7 +12,7 @@ from jaxurban.io.files import read_json
 from jaxurban.io.stored import RUN_FILE, stored_settings
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
-from jaxurban.maps.scenario import Scenario, changed
+from jaxurban.maps.scenario import Scenario
 from jaxurban.world.kinds import ALL_KINDS, Obstacles
 
 CityLike = City | MetricMaps | str | Path
@@ -81,18 +81,6 @@ def scenario_of(folder: Path, sources: str | Path | None = None) -> Scenario:
         "name the folder of these files (sources, --sources) or the scenario in it (scenario, --scenario), or make the "
         "maps again"
     )
-
-
-def read_scenario(path: Path, changes: Sequence[str] = ()) -> Scenario:
-    """Return the scenario in a file (`Scenario.from_toml`), or that of the run that made the maps in a folder.
-
-    Raises:
-      InputError: as of either of the two.
-    """
-    if not path.is_dir():
-        return Scenario.from_toml(path, changes)
-    settings = changed(stored_settings(path), changes)
-    return Scenario.from_dict(settings, str(path / RUN_FILE), scenario_of(path).path_of(""))
 
 
 def city_of(given: CityLike, sources: str | Path | None = None) -> City:

@@ -72,7 +72,7 @@ def study_command(
     The planners are those of [study] in SCENARIO, a file or a folder of maps, and the queries are over its maps.
     """
     from jaxurban.maps.scenario import OF_SAMPLING
-    from jaxurban.maps.sources import read_scenario
+    from jaxurban.maps.scenario_files import read_scenario
 
     # Settings that --set names and that a file of instances fixes.
     fixed = tuple(f"study.{name}" for name in OF_SAMPLING)

@@ -10,7 +10,8 @@ import jaxurban as ju
 from jaxurban.io.files import read_json, write_json
 from jaxurban.io.stored import RUN_FILE
 from jaxurban.maps.run import run_scenario
-from jaxurban.maps.sources import city_of, read_scenario
+from jaxurban.maps.scenario_files import read_scenario
+from jaxurban.maps.sources import city_of
 from jaxurban.world.kinds import ALL_KINDS
 from tests.cli_runs import write_city
 from tests.made_maps import made_maps

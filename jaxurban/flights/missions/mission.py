@@ -46,7 +46,6 @@ import pandas as pd
 
 from jaxurban.checks import finite, one_of, positive
 from jaxurban.errors import InputError, readable
-from jaxurban.flights.legs import Segments
 from jaxurban.flights.missions.dji import read_wpml, unzipped
 from jaxurban.flights.missions.items import flyer_of, read_plan, read_waypoints
 from jaxurban.flights.missions.lines import (
@@ -157,6 +156,8 @@ def read_way(path: str | Path) -> tuple[np.ndarray, tuple[str, ...]]:
     Raises:
       InputError: as of `read_mission`.
     """
+    from jaxurban.flights.legs import Segments  # imported here: it brings JAX
+
     path = Path(path)
     if path.suffix.lower() in LINE_READERS:
         with _opened(path, LINE_READERS) as (suffix, data):
