@@ -114,11 +114,13 @@ def are_lone(outlines: Outlines, is_building: np.ndarray, is_asked: np.ndarray) 
     is_lone = is_asked.copy()
     asked, buildings = outlines.polygons[is_asked], outlines.polygons[is_building]
     index, near = shapely.STRtree(buildings).query(asked)
+    middles = shapely.point_on_surface(asked)[index]
+    _, first, number = np.unique(near, return_index=True, return_inverse=True)
     shapes, buildings = asked[index], buildings[near]
     area_m2, asked_m2 = shapely.area(buildings), shapely.area(asked)
-    is_within = shapely.within(shapely.point_on_surface(shapes), buildings)
+    is_within = shapely.within(middles, buildings)
     is_within &= area_m2 >= GROUND_SHARE * asked_m2[index]
-    holds = shapely.within(shapely.point_on_surface(buildings), shapes)
+    holds = shapely.within(shapely.point_on_surface(buildings[first])[number], shapes)
     held_m2 = np.bincount(index, area_m2 * holds, len(asked))
     is_ground = held_m2 > GROUND_SHARE * asked_m2
     is_ground[index[is_within]] = True
