@@ -63,7 +63,9 @@ def with_estimates(
     words = np.full(num, None, object)
     for origin in _origins(values):
         words = np.where(is_given(words), words, origin)
-    is_estimated = pd.Series(words, dtype=str).str.strip().str.contains(MODEL).to_numpy(bool)
+    is_estimated = (
+        pd.Series(words, dtype=str).str.strip().str.contains(MODEL, na=False).to_numpy(bool)
+    )
     if MODEL.search(height_column) or re.search(DATA_SETS, file_name, re.IGNORECASE):
         is_estimated = is_estimated | ~is_given(words)
     if not is_estimated.any():
