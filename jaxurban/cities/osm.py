@@ -190,9 +190,9 @@ class _Objects:
         may_stand = _may_stand(tags, OF_POINTS)
         if not may_stand and way.is_closed() and _may_stand(tags, OF_OUTLINES):
             self._keep_line(way)
-            may_stand = key in self.missing
-            self.cut.add(key)
-        if may_stand:
+            if key in self.missing:
+                self.cut.add(key)
+        if may_stand or key in self.cut:
             self.tags[key] = tags
             self.ways_of[key] = [way.id]
             self._keep_line(way)
@@ -209,7 +209,8 @@ class _Objects:
             return False
         key = "r", item.id
         may_stand = _may_stand(tags)
-        if of_type == "multipolygon" and not _may_stand(tags, OF_POINTS):
+        is_outline = _may_stand(tags, OF_OUTLINES) and not _may_stand(tags, OF_POINTS)
+        if of_type == "multipolygon" and is_outline:
             self.cut.add(key)
         # A bare one may be the outline in a relation of a building.
         if may_stand or len(item.tags) == 1:

@@ -248,7 +248,8 @@ def _shape(others: _Others, height_m: np.ndarray) -> np.ndarray:
     """
     lines = _thin_shape(others)
     is_tree = others.names == "tree"
-    is_line = others.outlines.texts("barrier") + others.outlines.texts("pipeline") != ""
+    is_line = others.outlines.texts("barrier") != ""
+    is_line |= others.outlines.texts("pipeline") != ""
     is_ring = (others.kinds == UNLISTED) & is_line
     is_thin = is_ring | (others.kinds == HULL) | (shapely.get_dimensions(lines) != 2)
     radius_m = _radius_m(others, height_m)

@@ -363,10 +363,13 @@ def _settle(figure: Any, axes: Sequence[Axes], size: Size) -> None:
     """Give a figure the height that its panels need, and then each panel its true proportions.
 
     The layout decides how high a cell becomes, so the height is corrected by what the cells lack, a few times
-    (`SETTLING`). Until then the panels fill their cells.
+    (`SETTLING`). Until then the panels fill their cells. A part of another figure keeps its height.
     """
     layout: Any = figure.get_layout_engine()
-    for _ in range(SETTLING if isinstance(figure, Figure) else 0):
+    num_times = 0
+    if isinstance(figure, Figure):
+        num_times = SETTLING
+    for _ in range(num_times):
         layout.execute(figure)
         cell = axes[0].get_position()
         height_in = figure.get_figheight()

@@ -171,21 +171,26 @@ def chart(
     head = wrapped(heading, width_in, BOLD * HEADING_PT)
     foot = wrapped(note, width_in)
     height_in += HEAD_IN * len(head.splitlines()) + LINE_IN * len(foot.splitlines())
-    layout = ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.06)
-    figure: Any = Picture(figsize=(width_in, height_in), layout=layout, facecolor="white")
-    if ax is not None:
-        cell = ax.get_subplotspec()
-        if cell is None:
-            raise InputError(
-                "ax must be a cell of a grid of axes, as matplotlib's subplots has them"
-            )
-        figure = ax.figure.add_subfigure(cell)
-        ax.remove()
+    if ax is None:
+        layout = ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.06)
+        figure = Picture(figsize=(width_in, height_in), layout=layout, facecolor="white")
+    else:
+        figure = _in_place_of(ax)
     look = {"x": EDGE_IN / width_in, "ha": "left"}  # x is a share of the figure's width
     figure.suptitle(head, size=HEADING_PT, weight="bold", color=INK, **look)
     if foot:
         figure.supxlabel(foot, size=SMALL_PT, color=FAINT_INK, **look)
     return figure
+
+
+def _in_place_of(ax: Axes) -> Any:
+    """Return a part of a figure, in place of a cell of it; InputError of axes that are no cell."""
+    cell = ax.get_subplotspec()
+    if cell is None:
+        raise InputError("ax must be a cell of a grid of axes, as matplotlib's subplots has them")
+    part = ax.figure.add_subfigure(cell)
+    ax.remove()
+    return part
 
 
 def bare(figure: Figure) -> Figure:

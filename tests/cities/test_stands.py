@@ -13,7 +13,7 @@ from jaxurban.cities.osm import read_osm
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.rules import BY_VALUE, KINDS, OF_AREAS, RULES
 from jaxurban.world.footprints import HeightOrigin
-from tests.made_files import line, node, osm, way
+from tests.made_files import line, node, osm, relation, way
 
 UTM = "EPSG:32618"
 AREA = box(0, 0, 10, 10)
@@ -601,6 +601,17 @@ def test_an_extract_that_cuts_the_outline_of_a_lone_theatre_leaves_its_walls_unk
     structures = to_buildings(ju.Buildings("city.osm"), outlines, UTM)[1]
     assert structures.named.tolist() == ["amenity=theatre"]
     assert structures.upper_m.tolist() == [np.inf]
+
+
+def test_a_relation_of_which_an_extract_lacks_a_way_is_unknown_where_the_others_are(tmp_path):
+    corners = node(1, 8.5, 47.3), node(2, 8.501, 47.3), node(3, 8.501, 47.301)
+    members = [(1, "outer"), (9, "outer")]
+    whole = relation(5, members, amenity="theatre")
+    (tmp_path / "city.osm").write_text(osm(*corners, way(1, [1, 2, 3]), whole))
+    outlines = read_osm(tmp_path / "city.osm")
+    structures = to_buildings(ju.Buildings("city.osm"), outlines, UTM)[1]
+    assert structures.named.tolist() == ["amenity=theatre"]
+    assert shapely.covers(outlines.polygons[0], LineString([(8.5, 47.3), (8.501, 47.301)]))
 
 
 @pytest.mark.parametrize("artwork", [{"artwork_type": "kinetic"}, {}])

@@ -361,9 +361,9 @@ def _item_of_plan(value: Any, number: int) -> Item:
     if row.get("doJumpId") is not None:
         key = whole_of(f"doJumpId of {what}", row["doJumpId"])
     if row.get("type") != "SimpleItem":
-        kind = str(row.get("complexItemType", row.get("type")))[:40]
+        kind = str(row.get("complexItemType") or row.get("type") or "")[:40]
         what = f"a {kind} (ComplexItem)"
-        if not kind.isidentifier() or kind == "None":
+        if not kind.isidentifier():
             what = "an item without a known type"
         if kind in SURVEYS:
             what = "a survey without its waypoints (open and save it in QGroundControl)"
