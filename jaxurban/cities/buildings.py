@@ -153,8 +153,11 @@ def _buildings(
         buildings = with_decks(buildings, is_deck, layer.to_numpy(float))
     is_outline = ~(is_part | is_deck)
     parts = _own_parts(found.polygons, is_outline, is_part)
-    classes = _classes(found.polygons, is_outline, is_part)
-    learned, highest_m = _learned(buildings, found, parts, classes, learns)
+    of_size = _classes(found.polygons, is_outline, is_part)
+    classes = np.where(is_part, PARTS + of_size, of_size)
+    given_m, counted_m = _known_m(buildings, found, parts)
+    learned = learned_from(classes, given_m * learns, counted_m * learns)
+    highest_m = _highest_m(found, of_size, counted_m)
     if file.default_height_m is None:
         is_open = built_shares(found.polygons) < OPEN_SHARE
         in_open_m = of_classes(learned, classes, "open_guess_m")
@@ -212,35 +215,42 @@ def _classes(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray) 
     np.maximum.at(area_m2, inner, area_m2[wholes[whole]])
     classes = classes_of(area_m2)
     classes[np.setdiff1d(np.flatnonzero(is_part), inner)] = IN_NONE
-    return np.where(is_part, PARTS + classes, classes)
+    return classes
 
 
-def _learned(
-    buildings: Footprints, found: Outlines, parts: Parts, classes: np.ndarray, learns: bool
-) -> tuple[dict[str, Learned], np.ndarray]:
-    """Return what a file says of unknown heights, and the highest that it knows of the class of each, ``[N]``.
+def _known_m(buildings: Footprints, found: Outlines, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
+    """Return the heights that the file gives, and the same with those by levels, ``[N]`` each, 0 where it gives none.
 
-    An outline is as high as its highest part. In the highest a part is of the class of its building, and what names
-    call low is a class of its own; of a part that lies in none it is not known.
+    An outline is as high as its highest part.
 
     Args:
       buildings: ``N`` outlines and parts, as the file has them.
-      found: what their tags call them.
+      found: which of them are decks.
       parts: of the outlines.
-      classes: ``[N]`` objects.
-      learns: as of `to_buildings`.
     """
-    known_m = []
-    for origins in (HeightOrigin.HEIGHT,), (HeightOrigin.HEIGHT, HeightOrigin.LEVELS):
-        is_known = np.isin(buildings.origin, origins) & ~found.tags["is_deck"]
-        height_m = np.where(is_known, buildings.height_m, 0.0)
+    is_given = (buildings.origin == HeightOrigin.HEIGHT) & ~found.tags["is_deck"]
+    is_counted = is_given | ((buildings.origin == HeightOrigin.LEVELS) & ~found.tags["is_deck"])
+    given_m = np.where(is_given, buildings.height_m, 0.0)
+    counted_m = np.where(is_counted, buildings.height_m, 0.0)
+    for height_m in (given_m, counted_m):
         np.maximum.at(height_m, parts.outline, height_m[parts.part])
-        known_m.append(height_m)
-    groups = pd.Series(classes).str.removeprefix(PARTS)
-    groups[found.says("building", LOW_BUILDINGS.split())] = "low"
-    highest_m = pd.Series(height_m).groupby(groups).transform("max").to_numpy()
-    highest_m = np.where(groups == IN_NONE, np.inf, highest_m)
-    return learned_from(classes, *(each * learns for each in known_m)), highest_m
+    return given_m, counted_m
+
+
+def _highest_m(found: Outlines, classes: np.ndarray, known_m: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` the highest that the file knows of the class of each; of a part that lies in none it is not known.
+
+    Args:
+      found: what their tags call them: what names call low is a class of its own.
+      classes: ``[N]`` objects, of a part that of its building.
+      known_m: ``[N]`` heights, 0 of what the file does not know.
+    """
+    groups = np.where(found.says("building", LOW_BUILDINGS.split()), "low", classes)
+    number, names = pd.factorize(groups)
+    highest_m = np.zeros(len(names))
+    np.maximum.at(highest_m, number, known_m)
+    highest_m[names == IN_NONE] = np.inf
+    return highest_m[number]
 
 
 def _within(
@@ -422,8 +432,10 @@ def _own_parts(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray
     outline, part, shared = outline[is_own], part[is_own], shared[is_own]
 
     share = np.zeros(len(polygons))
-    shared_m2 = pd.Series(shared).groupby(outline).agg(lambda own: shapely.union_all(own).area)
-    share[shared_m2.index] = shared_m2 / shapely.area(polygons[shared_m2.index])
+    order = np.argsort(outline, kind="stable")
+    owners, first = np.unique(outline[order], return_index=True)
+    for owner, own in zip(owners, np.split(shared[order], first)[1:], strict=True):
+        share[owner] = shapely.union_all(own).area / polygons[owner].area
     return Parts(outline, part, share)
 
 

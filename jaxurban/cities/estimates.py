@@ -63,11 +63,11 @@ def with_estimates(
     words = np.full(num, None, object)
     for origin in _origins(values):
         words = np.where(is_given(words), words, origin)
-    is_estimated = (
-        pd.Series(words, dtype=str).str.strip().str.contains(MODEL, na=False).to_numpy(bool)
-    )
+    is_said = is_given(words)
+    is_estimated = np.zeros(num, bool)
+    is_estimated[is_said] = [MODEL.search(str(word).strip()) is not None for word in words[is_said]]
     if MODEL.search(height_column) or re.search(DATA_SETS, file_name, re.IGNORECASE):
-        is_estimated = is_estimated | ~is_given(words)
+        is_estimated |= ~is_said
     if not is_estimated.any():
         return tags
     height_m, variance, upper_m = (

@@ -25,6 +25,7 @@ from jaxurban.io.sniff import in_own_words, sniff, unpacked
 from jaxurban.world.footprints import BUILDING
 from jaxurban.world.grid import WGS84, Bounds
 
+Values = dict[str, frozenset[str]]  # by key
 BUILDINGS = ("building", "building:part")  # keys
 MAYBE = (  # keys of what may stand
     *(*BUILDINGS, "building:levels", "height", "building:height", *ROUGH, *KINDS),
@@ -36,10 +37,10 @@ LOW_BARRIERS = {
     value for value, name in KINDS["barrier"].items() if isinstance(THINGS[name], Nothing)
 }
 # Values of keys of which others do not stand; what is water says which bridges cross it.
-SOME = {key: {*rules, *WATERS.get(key, ())} for key, rules in BY_VALUE.items()}
+SOME = {key: frozenset({*rules, *WATERS.get(key, ())}) for key, rules in BY_VALUE.items()}
 # Of points, lines and what is cut the names of grounds, places and low things are left out: there are many.
-OF_OUTLINES: dict[str, set[str]] = {}
-OF_POINTS: dict[str, set[str]] = {}
+OF_OUTLINES: Values = {}
+OF_POINTS: Values = {}
 for key, rules in BY_VALUE.items():
     of_areas = {value for value, name in rules.items() if OF_AREAS in name}
     OF_OUTLINES[key] = SOME[key] - {value for value, name in rules.items() if name in ALONE}
@@ -169,8 +170,8 @@ class _Objects:
     def node(self, lamp: Any) -> None:
         """Keep what may be a lamp, or a stand of hunters, for which pyosmium calls this."""
         get = lamp.tags.get
-        is_lamp = _words_of(get("highway", "")) & SOME["highway"]
-        if is_lamp or _words_of(get("amenity", "")) & OF_POINTS["amenity"]:
+        is_lamp = _is_among(get("highway", ""), SOME["highway"])
+        if is_lamp or _is_among(get("amenity", ""), OF_POINTS["amenity"]):
             self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
             self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
 
@@ -178,7 +179,7 @@ class _Objects:
         """Keep the line of a way that is asked for, and gantries, for which pyosmium calls this too."""
         if way.id in self.ids:
             self._keep_line(way)
-        if _words_of(way.tags.get("highway", "")) & SOME["highway"]:
+        if _is_among(way.tags.get("highway", ""), SOME["highway"]):
             self._keep_way(way)
 
     def _keep_way(self, way: Any) -> None:
@@ -188,15 +189,17 @@ class _Objects:
             return
         tags = _tags_of(way.tags)
         may_stand = _may_stand(tags, OF_POINTS)
-        if not may_stand and way.is_closed() and _may_stand(tags, OF_OUTLINES):
-            self._keep_line(way)
-            if key in self.missing:
-                self.cut.add(key)
-        if may_stand or key in self.cut:
-            self.tags[key] = tags
-            self.ways_of[key] = [way.id]
-            self._keep_line(way)
+        if not may_stand and not (way.is_closed() and _may_stand(tags, OF_OUTLINES)):
+            return
+        self._keep_line(way)
+        if may_stand:
             (self.closed if way.is_closed() else self.open_ways).add(key)
+        elif key in self.missing:
+            self.cut.add(key)
+        else:
+            return
+        self.tags[key] = tags
+        self.ways_of[key] = [way.id]
 
     def _keep_relation(self, item: Any, tags: Tags) -> bool:
         """Keep the members of a relation that may need them; return whether it may stand itself, by its tags."""
@@ -209,8 +212,8 @@ class _Objects:
             return False
         key = "r", item.id
         may_stand = _may_stand(tags)
-        is_outline = _may_stand(tags, OF_OUTLINES) and not _may_stand(tags, OF_POINTS)
-        if of_type == "multipolygon" and is_outline:
+        is_area = of_type == "multipolygon"
+        if is_area and _may_stand(tags, OF_OUTLINES) and not _may_stand(tags, OF_POINTS):
             self.cut.add(key)
         # A bare one may be the outline in a relation of a building.
         if may_stand or len(item.tags) == 1:
@@ -328,20 +331,20 @@ def _all_of(items: Any) -> Iterator[Any]:
     return islice(items, len(items))
 
 
-def _may_stand(tags: Tags, some: dict[str, set[str]] = SOME) -> bool:
+def _may_stand(tags: Tags, some: Values = SOME) -> bool:
     """Return whether an object with these tags (`_tags_of`) may stand, of some keys by their values."""
     if not tags.keys().isdisjoint(SURE) or tags.get("barrier", "kerb") not in LOW_BARRIERS:
         return True
-    for key in some.keys() & tags.keys():
-        if _words_of(tags[key]) & some[key]:
+    for key, text in tags.items():
+        if key in some and _is_among(text, some[key]):
             return True
     return tags.get("layer", "0").lstrip(" +") > "0" and ("highway" in tags or "railway" in tags)
 
 
-@lru_cache(maxsize=2**12)
-def _words_of(text: str) -> frozenset[str]:
-    """Return the words of a value, one or a list with semicolons, in small letters."""
-    return frozenset(word.strip().lower() for word in text.split(";"))
+@lru_cache(maxsize=2**13)
+def _is_among(text: str, values: frozenset[str]) -> bool:
+    """Return whether a value, or one of a list with semicolons, is one of some, in any case."""
+    return any(word.strip().lower() in values for word in text.split(";"))
 
 
 def _each_side_once(line: shapely.Geometry) -> shapely.Geometry:

@@ -53,24 +53,31 @@ class Outlines:
 
     def texts(self, name: str) -> np.ndarray:
         """Return a tag of every outline as text in small letters, ``[N]`` objects, empty where it is missing."""
-        name = name if name in self.tags else ""  # one array for all that are missing
-        if name not in self._words:
-            column = self.column(name)
-            words = np.full(len(column), "", object)
-            is_filled = ~pd.isna(column)
-            words[is_filled] = [str(value).strip().lower() for value in column[is_filled]]
-            self._words[name] = words
-        return self._words[name]
+        number, different = self.words(name)
+        return different[number]
 
     def says(self, name: str, texts: Iterable[str]) -> np.ndarray:
         """Return ``[N]`` whether a tag of outlines is one of some texts in small letters, of which none is empty."""
-        if name not in self.tags:
-            return np.zeros(len(self.polygons), bool)
-        return pd.Series(self.texts(name)).isin([*texts]).to_numpy()
+        number, different = self.words(name)
+        wanted = {*texts}
+        return np.array([text in wanted for text in different], bool)[number]
+
+    def words(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the different texts of a tag, some perhaps equal in small letters, and ``[N]`` which each has."""
+        name = name if name in self.tags else ""  # one for all that are missing
+        if name not in self._words:
+            column = self.column(name)
+            texts = np.full(len(column), "", object)
+            is_filled = ~pd.isna(column)
+            texts[is_filled] = [*map(str, column[is_filled])]
+            number, different = pd.factorize(texts)
+            small = [text.strip().lower() for text in different]
+            self._words[name] = number, np.array(small, object)
+        return self._words[name]
 
     @cached_property
-    def _words(self) -> dict[str, np.ndarray]:
-        """The texts that were asked for, by name."""
+    def _words(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """The words that were asked for, by name."""
         return {}
 
 

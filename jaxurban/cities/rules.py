@@ -27,7 +27,6 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 
 from jaxurban.cities.kinds import (
     BRIDGE,
@@ -371,7 +370,7 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray]:
       Indices of `RULES`, ``[N]`` each.
     """
     held = [RANKS[name] * signs[name] for name in signs.keys() & (ALONE | THINGS)]
-    words = {tag: pd.factorize(outlines.texts(tag)) for tag in OF_KEYS.keys() & outlines.tags}
+    words = {tag: outlines.words(tag) for tag in OF_KEYS.keys() & outlines.tags}
     of_shapes: defaultdict[str, list[np.ndarray]] = defaultdict(list)
     for key, rules in VALUES.items():
         tag, _, shape = key.partition(" of ")

@@ -130,7 +130,7 @@ def are_lone(outlines: Outlines, is_building: np.ndarray, is_asked: np.ndarray) 
 
 def _has(outlines: Outlines, name: str) -> np.ndarray:
     """Return ``[N]`` whether a tag has a value that does not mean no."""
-    texts = {*outlines.texts(name)}
+    texts = {*outlines.words(name)[1]}
     is_number = {value for value in texts if value[:1].isdigit()}
     no = NO if is_number - FLAGS else (*NO, *ZERO)
     return outlines.says(name, texts.difference(no))

@@ -9,7 +9,6 @@ route: of 50 unknown ones one exceeds its own with up to 39 %. Known heights are
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -40,6 +39,7 @@ CLASSES = np.array([*PACKAGED][:4], object)
 # And where few buildings stand: where they cover less than `OPEN_SHARE` of the ground around (`built_shares`).
 OPEN_GUESSES_M = dict(zip(CLASSES, (4.2, 6.4, 6.8, 18.9), strict=True))
 OPEN_SHARE = 0.2
+KEY_STEP = 2.0**26  # more cells than a CRS has in a row
 CELL_M = 80.0  # whose 5 x 5 around a building are as large as a disc of 225 m
 PART_CLASSES = np.array([*PACKAGED][4:9], object)
 
@@ -78,15 +78,14 @@ def classes_of(area_m2: np.ndarray) -> np.ndarray:
 
 def built_shares(polygons: np.ndarray) -> np.ndarray:
     """Return ``[N]`` the share of the ground around each building that buildings cover: of 5 x 5 cells, by centres."""
-    centre_m = shapely.get_coordinates(shapely.centroid(polygons))
-    cell = pd.MultiIndex.from_arrays(np.floor(centre_m / CELL_M).T)
-    built_m2 = pd.Series(shapely.area(polygons), cell).groupby(level=[0, 1]).sum()
-    around_m2 = pd.Series(0.0, built_m2.index)
-    column, row = (built_m2.index.get_level_values(level) for level in (0, 1))
-    for x, y in product(range(-2, 3), repeat=2):
-        beside = pd.MultiIndex.from_arrays([column + x, row + y])
-        around_m2 += built_m2.reindex(beside, fill_value=0.0).to_numpy()
-    return around_m2.reindex(cell).to_numpy() / (5 * CELL_M) ** 2
+    place = np.floor(shapely.get_coordinates(shapely.centroid(polygons)) / CELL_M)
+    keys = place @ (1, KEY_STEP)
+    cells, first, number = np.unique(keys, return_index=True, return_inverse=True)
+    built_m2 = np.bincount(number, shapely.area(polygons))
+    around = shapely.box(*(place[first] - 2.5).T, *(place[first] + 2.5).T)
+    cell, beside = shapely.STRtree(shapely.points(place[first])).query(around)
+    around_m2 = np.bincount(cell, built_m2[beside], len(cells))
+    return around_m2[number] / (5 * CELL_M) ** 2
 
 
 def likely_of(known_m: np.ndarray) -> float:
@@ -106,10 +105,11 @@ def learned_from(
       counted_m: ``[N]`` the same, with those by the number of levels.
     """
     learned = {}
-    for name in dict.fromkeys(classes):
-        given, counted = (
-            heights_m[(classes == name) & (heights_m > 0)] for heights_m in (given_m, counted_m)
-        )
+    number, names = pd.factorize(classes)
+    for index, name in enumerate(names):
+        is_it = number == index
+        given, counted = given_m[is_it], counted_m[is_it]
+        given, counted = given[given > 0], counted[counted > 0]
         guess_m, likely_m = PACKAGED.get(name, (None, None))
         num_for_guess = num_known = 0
         if len(counted) >= LEAST_FOR_GUESS:
@@ -129,4 +129,4 @@ def learned_from(
 def of_classes(learned: Mapping[str, Learned], classes: np.ndarray, field: str) -> np.ndarray:
     """Return ``[N]`` a field of `Learned` by class, NaN where nothing is learned."""
     known = {name: getattr(each, field) for name, each in learned.items()}
-    return pd.Series(classes).map(known).to_numpy(float)
+    return pd.Series(classes, dtype=object).map(known).to_numpy(float)
