@@ -97,12 +97,11 @@ def read_osm(path: str | Path) -> Outlines:
     Raises:
       InputError: the file cannot be read to its end.
     """
-    remedy = "fetch it again, or put it in order with `osmium sort`"
-    with plain_osm(path, remedy) as plain:
+    with plain_osm(path, "fetch it again, or put it in order with `osmium sort`") as plain:
         objects = _Objects(plain)
         box = header_box(plain)
     return Outlines(
-        polygons=shapely.from_wkb([*map(bytes.fromhex, objects.shapes.values())]),
+        polygons=objects.polygons,
         tags=tags_of(objects.columns),
         crs=WGS84,
         boxes=() if box is None else (box,),
@@ -112,15 +111,17 @@ def read_osm(path: str | Path) -> Outlines:
 
 
 class _Objects:
-    """What may stand of an OSM file, by kind and id, as far as it was read; errors as pyosmium raises them.
+    """What may stand of an OSM file, by kind and id; errors as pyosmium raises them.
 
     Attributes:
       tags: those that say what stands.
-      shapes: WKB in hexadecimal.
+      shapes: WKB in hexadecimal, as pyosmium makes it.
       areas: what libosmium takes for areas, whether it could assemble them or not, and sites.
-      closed, open_ways, missing, degenerate: ways, the first two no areas that may stand; the third lack nodes, and
-        the last enclose nothing.
-      cut: what would be areas if an extract had all of them, and stands as none else.
+      closed, open_ways: ways that may stand and are no areas.
+      missing: ways that lack nodes.
+      degenerate: closed ways of buildings that enclose nothing.
+      cut: outlines that lack nodes or ways, and would stand as areas alone.
+      wanted: the ids of ways whose lines are needed.
       lines: of ways, by id.
       ways_of: the ids of the ways of what has no shape.
       of_members: what relations of the type building say of their outlines.
@@ -133,12 +134,15 @@ class _Objects:
         self.shapes: dict[Key, str] = {}
         self.areas, self.closed, self.open_ways, self.missing = (set[Key]() for _ in range(4))
         self.cut: set[Key] = set()
+        self.wanted: set[int] = set()
         self.lines: dict[int, shapely.Geometry] = {}
         self.ways_of: dict[Key, list[int]] = {}
         self.of_members: dict[Key, Tags] = {}
         self.num_repaired = 0
         self._read_objects(path)
         self._read_lines(path)
+        self.degenerate = self._degenerate()
+        self._inherit_tags()
         self._build_shapes()
 
     def _read_objects(self, path: str | Path) -> None:
@@ -177,24 +181,26 @@ class _Objects:
 
     def way(self, way: Any) -> None:
         """Keep the line of a way that is asked for, and gantries, for which pyosmium calls this too."""
-        if way.id in self.ids:
+        if way.id in self.wanted:
             self._keep_line(way)
         if _is_among(way.tags.get("highway", ""), SOME["highway"]):
             self._keep_way(way)
 
     def _keep_way(self, way: Any) -> None:
-        """Keep a way that may stand and is no area; what a cut extract has of an outline is one."""
+        """Keep a way that may stand and is no area; a closed one that lacks nodes is kept as a cut outline."""
         key = "w", way.id
         if key in self.areas:
             return
         tags = _tags_of(way.tags)
+        is_closed = way.is_closed()
         may_stand = _may_stand(tags, OF_POINTS)
-        if not may_stand and not (way.is_closed() and _may_stand(tags, OF_OUTLINES)):
+        if not may_stand and not (is_closed and _may_stand(tags, OF_OUTLINES)):
             return
-        self._keep_line(way)
+        lacks_nodes = self._keep_line(way)
         if may_stand:
-            (self.closed if way.is_closed() else self.open_ways).add(key)
-        elif key in self.missing:
+            ways = self.closed if is_closed else self.open_ways
+            ways.add(key)
+        elif lacks_nodes:
             self.cut.add(key)
         else:
             return
@@ -235,63 +241,85 @@ class _Objects:
                 points.append((place.lon, place.lat))
         return points
 
-    def _keep_line(self, way: Any) -> None:
-        """Keep the line of a way, and whether it lacks nodes."""
+    def _keep_line(self, way: Any) -> bool:
+        """Keep the line of a way; return whether it lacks nodes."""
+        lacks_nodes = False
         try:
             line = shapely.from_wkb(bytes.fromhex(TO_WKB.create_linestring(way, use_nodes.ALL)))
         except (RuntimeError, osmium.InvalidLocationError):  # without the places of its nodes
             points = self._places(node.ref for node in way.nodes)
             line = shapely.Point(points) if len(points) == 1 else shapely.LineString(points)
-            if len(points) < len(way.nodes):
-                self.missing.add(("w", way.id))
+            lacks_nodes = len(points) < len(way.nodes)
+        if lacks_nodes:
+            self.missing.add(("w", way.id))
         self.lines[way.id] = _each_side_once(line)
+        return lacks_nodes
 
     def _read_lines(self, path: str | Path) -> None:
-        """Read ways that may stand and are no areas, and the lines of what else has no shape."""
-        no_shape = (self.tags.keys() | self.of_members.keys()) - self.shapes.keys()
-        self.ways_of |= {key: [key[1]] for key in no_shape if key[0] == "w"}
-        # An `IdFilter` would take 4 MiB for each range of ids.
-        self.ids = {way for key in no_shape for way in self.ways_of.get(key, ())}
+        """Read ways that may stand and are no areas, and the lines of what else has no shape.
+
+        Ways that the filter passes come to the loop; for the others pyosmium calls `way`.
+        """
+        self._want_lines()
         places = osmium.NodeLocationsForWays(self.places)
-        places.ignore_errors()
+        places.ignore_errors()  # extracts lack nodes
         ways = osmium.FileProcessor(_file(path), osmium.osm.WAY).with_filter(MAY_STAND)
         item: Any
         for item in ways.with_filter(places).handler_for_filtered(self):
             self.way(item)
             self._keep_way(item)
-        self.degenerate = {
-            key
-            for key in self.closed - self.missing - self.of_members.keys()
-            if not self.tags[key].keys().isdisjoint(BUILDINGS)
-            and shapely.build_area(self.lines[key[1]]).is_empty
-        }
 
-    def _build_shapes(self) -> None:
-        """Build what is no area from its lines; what does not close is these lines."""
-        # Outlines have what their relation says beside their own tags.
+    def _want_lines(self) -> None:
+        """Note the ways, and those of relations, of what has no shape. An `IdFilter` takes 4 MiB a range of ids."""
+        no_shape = (self.tags.keys() | self.of_members.keys()) - self.shapes.keys()
+        self.ways_of |= {key: [key[1]] for key in no_shape if key[0] == "w"}
+        for key in no_shape:
+            self.wanted.update(self.ways_of.get(key, ()))
+
+    def _degenerate(self) -> set[Key]:
+        """Return the closed ways of buildings that enclose nothing."""
+        whole = self.closed - self.missing - self.of_members.keys()
+        buildings = [key for key in whole if not self.tags[key].keys().isdisjoint(BUILDINGS)]
+        areas = shapely.build_area([self.lines[number] for _, number in buildings])
+        return {key for key, area in zip(buildings, areas, strict=True) if area.is_empty}
+
+    def _inherit_tags(self) -> None:
+        """Give outlines what their relation says beside their own tags."""
         for key, of_relation in self.of_members.items():
             own = self.tags.get(key, {})
             if "building:part" not in own:
                 self.tags[key] = {"building": "yes"} | of_relation | own
 
-        no_shape = self.ways_of.keys() & self.tags.keys() - self.shapes.keys() - self.degenerate
+    def _build_shapes(self) -> None:
+        """Build the shapes of what is no area; an area of which no line is known stands without a shape."""
+        no_shape = (self.ways_of.keys() & self.tags.keys()) - self.shapes.keys() - self.degenerate
         built: dict[Key, shapely.Geometry] = {}
         for key in sorted(no_shape):
-            known = [self.lines[way] for way in self.ways_of[key] if way in self.lines]
-            shape = known[0] if len(known) == 1 else shapely.union_all(known)
-            if key in self.areas or key in self.of_members:
-                area = shapely.build_area(shapely.union_all(known))
-                self.num_repaired += not area.is_empty
-                shape = shape if area.is_empty else area
-            elif key in self.cut:
-                shape = shapely.buffer(shapely.convex_hull(shape), CUT_DEG)
+            shape = self._shape_of(key)
             if not shape.is_empty or key in self.areas:
                 built[key] = shape
         self.shapes |= zip(built, shapely.to_wkb([*built.values()], hex=True), strict=True)
 
+    def _shape_of(self, key: Key) -> shapely.Geometry:
+        """Return the area that the lines of an object enclose, the hull of a cut outline, else the lines."""
+        known = [self.lines[way] for way in self.ways_of[key] if way in self.lines]
+        lines = known[0] if len(known) == 1 else shapely.union_all(known)
+        if key in self.areas or key in self.of_members:
+            area = shapely.build_area(shapely.union_all(known))
+            self.num_repaired += not area.is_empty
+            return lines if area.is_empty else area
+        if key in self.cut:
+            return shapely.buffer(shapely.convex_hull(lines), CUT_DEG)
+        return lines
+
+    @property
+    def polygons(self) -> np.ndarray:
+        """``[N]`` the shapes, in the order of `columns`."""
+        return shapely.from_wkb([*map(bytes.fromhex, self.shapes.values())])
+
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """``[N]`` the tags of what has a shape, by name, None where one is missing."""
+        """``[N]`` the tags of what has a shape, by name, None where one is missing; in the order of `polygons`."""
         missing = np.full(len(self.shapes), None, object)
         columns = defaultdict(missing.copy, building=missing.copy())
         for row, key in enumerate(self.shapes):
@@ -374,17 +402,19 @@ def open_osm(path: str | Path, *handlers: Any) -> osmium.FileProcessor:
 
     Args:
       path: of the file.
-      handlers: filters and what they hand nodes to, before the processor begins.
+      handlers: filters of nodes and what is called for those that pass, before the processor begins.
     """
     file = _file(path)
-    is_sorted = sniff(path) == ".pbf"
-    # Any: the package's own annotation says str.
-    locations: Any = osmium.index.create_map("flex_mem" if is_sorted else "sparse_mem_map")
-    if not is_sorted:
-        handlers = osmium.NodeLocationsForWays(locations), *handlers
-    if handlers:
+    locations: Any  # the package's own annotation says str
+    if sniff(path) == ".pbf":
+        locations = osmium.index.create_map("flex_mem")
+        before = handlers
+    else:
+        locations = osmium.index.create_map("sparse_mem_map")  # of nodes in any order
+        before = osmium.NodeLocationsForWays(locations), *handlers
+    if before:
         with osmium.io.Reader(file, osmium.osm.NODE) as reader:
-            osmium.apply(reader, *handlers)
+            osmium.apply(reader, *before)
     return osmium.FileProcessor(file).with_locations(locations)
 
 
