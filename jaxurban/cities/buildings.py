@@ -76,13 +76,10 @@ class WhatStands(NamedTuple):
 def to_buildings(
     file: settings.Buildings, outlines: Outlines, crs: str, learns: bool = True
 ) -> WhatStands:
-    """Return what stands by the features of a file.
+    """Return what stands by the features of a file: buildings with their parts, and all else.
 
-    What stands is decided by `what_stands`. An outline that its own parts cover to at least 90 % gives way to them; one
-    that is tagged ``building:part`` as well is a part itself and stands. A part without usable height takes that of its
-    highest outline, if it is known. An underside at or above the roof raises a roof that was only estimated from levels
-    or by default, and is set to 0 under a roof with a height. Where parts hang, an outline stays below those that no
-    part stands under (`_podiums`). An outline as high as its highest part ends beside its parts (`_beside_parts`).
+    What stands is decided by `what_stands`, heights by `estimate_heights`, the order of outlines and their parts by
+    `_buildings`, and what stands beside buildings by `to_structures`.
 
     Args:
       file: the file of the outlines and what to make of it; with hanging ``"slabs"`` areas of bridges
@@ -96,21 +93,29 @@ def to_buildings(
     """
     to_city = transformer(outlines.crs, crs)
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
-    features, is_building, met = _in_city(outlines, crs, file.hanging == SLABS)
+    features, is_building, issues_of_features = _in_city(outlines, crs, file.hanging == SLABS)
     if not (boxes_m or len(features.polygons) or outlines.is_part):
         raise InputError(
             f"{str(file.source)!r} holds no building: give a file with polygons of buildings"
         )
-    buildings, of_buildings, of_heights = _buildings(features.take(is_building), file, learns)
-    waters = shapely.make_valid(outlines.polygons[is_water(outlines)])
-    waters = shapely.transform(waters, to_city.transform, interleaved=False)
-    others = features.take(~is_building)
-    structures, of_kinds, of_others = to_structures(file, others, buildings, waters, learns)
+    buildings, learned_by_class, issues_of_buildings = _buildings(
+        features.take(is_building), file, learns
+    )
+    structures, learned_by_kind, issues_of_structures = to_structures(
+        file, features.take(~is_building), buildings, _waters(outlines, crs), learns
+    )
     structures = _within(structures, file, buildings)
     issues = Counter(outlines.issues)
-    for each in (met, of_heights, of_others):
-        issues.update(each)
-    return WhatStands(buildings, structures, boxes_m, dict(issues), of_buildings | of_kinds)
+    for more in (issues_of_features, issues_of_buildings, issues_of_structures):
+        issues.update(more)
+    learned = learned_by_class | learned_by_kind
+    return WhatStands(buildings, structures, boxes_m, dict(issues), learned)
+
+
+def _waters(outlines: Outlines, crs: str) -> np.ndarray:
+    """Return the valid shapes of water of a file in another CRS."""
+    waters = shapely.make_valid(outlines.polygons[is_water(outlines)])
+    return shapely.transform(waters, transformer(outlines.crs, crs).transform, interleaved=False)
 
 
 def _in_city(
@@ -140,7 +145,10 @@ def _in_city(
 def _buildings(
     found: Outlines, file: settings.Buildings, learns: bool
 ) -> tuple[Footprints, dict[str, Learned], ReadIssues]:
-    """Return buildings with their heights, as `to_buildings` says, what is learned by class, and what was met.
+    """Return buildings with their heights, what is learned by class, and what was met.
+
+    An outline that its own parts cover to `REPLACED_SHARE` gives way to them, but for podiums and bare strips
+    (`_podiums`, `_beside_parts`); one that is tagged as a part as well is a part, and stands.
 
     Args:
       found: outlines and parts, in a projected CRS.
@@ -155,9 +163,9 @@ def _buildings(
     parts = _own_parts(found.polygons, is_outline, is_part)
     of_size = _classes(found.polygons, is_outline, is_part)
     classes = np.where(is_part, PARTS + of_size, of_size)
-    given_m, counted_m = _known_m(buildings, found, parts)
-    learned = learned_from(classes, given_m * learns, counted_m * learns)
-    highest_m = _highest_m(found, of_size, counted_m)
+    stated_m, known_m = _known_m(buildings, found, parts)
+    learned = learned_from(classes, stated_m * learns, known_m * learns)
+    highest_m = _highest_m(found, of_size, known_m)
     if file.default_height_m is None:
         is_open = built_shares(found.polygons) < OPEN_SHARE
         in_open_m = of_classes(learned, classes, "open_guess_m")
@@ -219,22 +227,25 @@ def _classes(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray) 
 
 
 def _known_m(buildings: Footprints, found: Outlines, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-    """Return the heights that the file gives, and the same with those by levels, ``[N]`` each, 0 where it gives none.
+    """Return the heights that the file states, and the same with those by levels, ``[N]`` each, 0 of all others.
 
-    An outline is as high as its highest part.
+    An outline is at least as high as its highest part.
 
     Args:
       buildings: ``N`` outlines and parts, as the file has them.
-      found: which of them are decks.
+      found: which of them are decks, whose heights are not learned from.
       parts: of the outlines.
     """
-    is_given = (buildings.origin == HeightOrigin.HEIGHT) & ~found.tags["is_deck"]
-    is_counted = is_given | ((buildings.origin == HeightOrigin.LEVELS) & ~found.tags["is_deck"])
-    given_m = np.where(is_given, buildings.height_m, 0.0)
-    counted_m = np.where(is_counted, buildings.height_m, 0.0)
-    for height_m in (given_m, counted_m):
+    is_deck = found.tags["is_deck"]
+
+    def heights_by(*origins: HeightOrigin) -> np.ndarray:
+        """Return the heights that are known in some ways."""
+        is_known = np.isin(buildings.origin, origins) & ~is_deck
+        height_m = np.where(is_known, buildings.height_m, 0.0)
         np.maximum.at(height_m, parts.outline, height_m[parts.part])
-    return given_m, counted_m
+        return height_m
+
+    return heights_by(HeightOrigin.HEIGHT), heights_by(HeightOrigin.HEIGHT, HeightOrigin.LEVELS)
 
 
 def _highest_m(found: Outlines, classes: np.ndarray, known_m: np.ndarray) -> np.ndarray:
@@ -382,60 +393,80 @@ def _project(prisms: pd.DataFrame, source: str, crs: str) -> tuple[pd.DataFrame,
       how many were repaired, are missing or empty, or lie where the CRS does not reach.
     """
     to_city = transformer(source, crs).transform
-    shapes = shapely.transform(prisms["polygon"].to_numpy(), to_city, interleaved=False)
-    is_there = shapely.get_num_coordinates(shapes) > 0
-
-    # Of a shape that lacks vertices the hull of the others is left.
-    vertices, shape = shapely.get_coordinates(shapes, return_index=True)
-    is_finite = np.isfinite(vertices).all(axis=1)
-    is_whole = np.ones(len(shapes), bool)
-    is_whole[shape[~is_finite]] = False
-    for index in np.flatnonzero(~is_whole):
-        known = vertices[is_finite & (shape == index)]
-        shapes[index] = shapely.convex_hull(shapely.multipoints(known))
-    is_sound = shapely.get_num_coordinates(shapes) > 0
-
-    to_repair = np.flatnonzero(is_sound & ~shapely.is_valid(shapes))
-    made = [polygonal(valid) for valid in shapely.make_valid(shapes[to_repair], method="structure")]
-    is_flat = shapely.is_empty(made)
-    shapes[to_repair] = np.where(is_flat, shapely.convex_hull(shapes[to_repair]), made)
-    is_whole[to_repair] &= ~is_flat
-
-    is_alone = shapely.get_type_id(shapes) == shapely.GeometryType.MULTIPOLYGON
-    is_alone &= shapely.get_num_geometries(shapes) == 1
-    shapes[is_alone] = shapely.get_geometry(shapes[is_alone], 0)
-
+    moved = shapely.transform(prisms["polygon"].to_numpy(), to_city, interleaved=False)
+    is_there = shapely.get_num_coordinates(moved) > 0
+    hulls, lacks_vertex = _hulls_of_known(moved)
+    is_on_map = shapely.get_num_coordinates(hulls) > 0
+    valid, is_repaired, is_flat = _repaired(hulls)
+    made = prisms.assign(polygon=_unwrapped(valid), is_whole=~lacks_vertex & ~is_flat)
     issues = {
-        ReadIssue.OUTSIDE_CRS: num_of(is_there & ~is_sound),
-        ReadIssue.POLYGONS_REPAIRED: num_of(~is_flat),
+        ReadIssue.OUTSIDE_CRS: num_of(is_there & ~is_on_map),
+        ReadIssue.POLYGONS_REPAIRED: num_of(is_repaired),
         ReadIssue.POLYGONS_DROPPED: num_of(~is_there),
     }
-    return prisms.assign(polygon=shapes, is_whole=is_whole)[is_sound], issues
+    return made[is_on_map], issues
+
+
+def _hulls_of_known(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return shapes, of those that lack finite vertices the hull of the others, and which lack some, ``[N]`` each."""
+    vertices, shape_of = shapely.get_coordinates(shapes, return_index=True)
+    is_finite = np.isfinite(vertices).all(axis=1)
+    lacks_vertex = np.zeros(len(shapes), bool)
+    lacks_vertex[shape_of[~is_finite]] = True
+    hulls = shapes.copy()
+    for index in np.flatnonzero(lacks_vertex):
+        known = vertices[is_finite & (shape_of == index)]
+        hulls[index] = shapely.convex_hull(shapely.multipoints(known))
+    return hulls, lacks_vertex
+
+
+def _repaired(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return valid shapes, which were repaired, and which became a line or a point, of which the hull is kept.
+
+    Args:
+      shapes: ``[N]``; those without a vertex, or None, are left as they are.
+    """
+    to_repair = np.flatnonzero(
+        (shapely.get_num_coordinates(shapes) > 0) & ~shapely.is_valid(shapes)
+    )
+    areas = [polygonal(each) for each in shapely.make_valid(shapes[to_repair], method="structure")]
+    became_flat = shapely.is_empty(areas)
+    valid = shapes.copy()
+    valid[to_repair] = np.where(became_flat, shapely.convex_hull(shapes[to_repair]), areas)
+    is_flat = np.zeros(len(shapes), bool)
+    is_flat[to_repair] = became_flat
+    is_repaired = np.zeros(len(shapes), bool)
+    is_repaired[to_repair] = ~became_flat
+    return valid, is_repaired, is_flat
+
+
+def _unwrapped(shapes: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` shapes, polygons that are alone in a MultiPolygon without it."""
+    is_multi = shapely.get_type_id(shapes) == shapely.GeometryType.MULTIPOLYGON
+    is_alone = is_multi & (shapely.get_num_geometries(shapes) == 1)
+    unwrapped = shapes.copy()
+    unwrapped[is_alone] = shapely.get_geometry(shapes[is_alone], 0)
+    return unwrapped
 
 
 def _own_parts(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray) -> Parts:
-    """Return which parts are whose.
+    """Return which parts belong to which outlines, as far as `BELONGING_SHARE` of each, and what share they cover.
 
     Args:
       polygons: ``[N]`` valid polygons.
       is_outline, is_part: ``[N]`` bool, which of them are outlines, and which are parts.
     """
-    outlines = np.flatnonzero(is_outline)
-    parts = np.flatnonzero(is_part)
-    near_outline, near_part = shapely.STRtree(polygons[parts]).query(
-        polygons[outlines], predicate="intersects"
-    )
-    outline = outlines[near_outline]
-    part = parts[near_part]
+    outlines, parts = np.flatnonzero(is_outline), np.flatnonzero(is_part)
+    tree = shapely.STRtree(polygons[parts])
+    near_outline, near_part = tree.query(polygons[outlines], predicate="intersects")
+    outline, part = outlines[near_outline], parts[near_part]
     shared = shapely.intersection(polygons[outline], polygons[part])
-    is_own = shapely.area(shared) >= BELONGING_SHARE * shapely.area(polygons[part])
-    outline, part, shared = outline[is_own], part[is_own], shared[is_own]
+    belongs = shapely.area(shared) >= BELONGING_SHARE * shapely.area(polygons[part])
+    outline, part, shared = outline[belongs], part[belongs], shared[belongs]
 
     share = np.zeros(len(polygons))
-    order = np.argsort(outline, kind="stable")
-    owners, first = np.unique(outline[order], return_index=True)
-    for owner, own in zip(owners, np.split(shared[order], first)[1:], strict=True):
-        share[owner] = shapely.union_all(own).area / polygons[owner].area
+    for owner, own in pd.Series(shared).groupby(outline):
+        share[owner] = shapely.union_all(own).area / shapely.area(polygons[owner])
     return Parts(outline, part, share)
 
 

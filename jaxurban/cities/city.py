@@ -119,6 +119,25 @@ class _Region(NamedTuple):
     near_m: Bounds
 
 
+class _Sections(NamedTuple):
+    """What the settings say of the files of a city."""
+
+    buildings: settings.Buildings
+    terrain: settings.Terrain
+    people: Population
+    vegetation: settings.Vegetation
+
+    def files(self, kinds: tuple[KindName, ...]) -> dict[str, Any]:
+        """Return the names of all files by role, as they are written here, None where there is none."""
+        return {
+            "buildings": self.buildings.source,
+            "structures": structures_of(self.buildings.source, kinds),
+            "terrain": self.terrain.source,
+            "vegetation": self.vegetation.source,
+            **{role: getattr(self.people, role) for role in FILES},
+        }
+
+
 def read_city(
     buildings: settings.Buildings,
     *,
@@ -131,34 +150,23 @@ def read_city(
     kinds: tuple[KindName, ...],
 ) -> City:
     """Return the city that files hold around a region; arguments, warnings and errors are as of `City.from_files`."""
-    # Lidar points are of the ground and of plants too. What was read of a file before may have changed.
-    read_points.cache_clear()
-    if sniff(located(buildings.source)) == LIDAR:
-        terrain = replace(terrain, source=terrain.source or buildings.source)
-        vegetation = replace(vegetation, source=vegetation.source or buildings.source)
-    bounds, own_gps, people = _with_sample(buildings.source, bounds, gps, population)
-
-    # The names of the files as the arguments have them are kept for provenance. The files are read by their paths.
-    files = {
-        "buildings": buildings.source,
-        "structures": structures_of(buildings.source, kinds),
-        "terrain": terrain.source,
-        "vegetation": vegetation.source,
-        **{role: getattr(people, role) for role in FILES},
-    }
-    sections = [_placed(each) for each in (buildings, terrain, people, vegetation)]
-    buildings, terrain, people, vegetation = sections
-    check_has_people(people, people.has_blocks)
+    read_points.cache_clear()  # what was read of a file before may have changed
+    asked, own_gps, people = _with_sample(buildings.source, bounds, gps, population)
+    named = _with_lidar(_Sections(buildings, terrain, people, vegetation))
+    files = named.files(kinds)
+    placed = _Sections(*map(_placed, named))
+    check_has_people(placed.people, placed.people.has_blocks)
 
     # The region, its ground, and what stands on it.
-    covered, outlines = bounds, None
-    if bounds is None:
-        covered, outlines = _extent(buildings.source, buildings.crs, buildings)
-    region = _region_of(covered, crs, gps or Gps(), has_relief=terrain.source is not None)
-    ground, ground_extent_m, ground_guesses = _read_ground(terrain.source, buildings, region)
-    plants, plant_guesses = _read_plants(vegetation.source, buildings, ground, region)
-    source = read_buildings(
-        buildings,
+    covered, outlines = asked, None
+    if asked is None:
+        covered, outlines = _extent(placed.buildings.source, placed.buildings.crs, placed.buildings)
+    has_relief = placed.terrain.source is not None
+    region = _region_of(covered, crs, gps or Gps(), has_relief)
+    ground, ground_extent_m, of_ground = _read_ground(placed, region)
+    plants, of_plants = _read_plants(placed, ground, region)
+    standing = read_buildings(
+        placed.buildings,
         region.crs,
         bounds_m=region.wide_m,
         terrain=ground,
@@ -166,32 +174,41 @@ def read_city(
         whole=outlines,
     )
     del outlines  # as large as the city
-    _check_buildings(buildings, source, ground, region)
-    if bounds is None and source.buildings is not None:
-        main = main_bounds(source.buildings.polygons, region.crs, region.bounds)
-        if main is not None:
-            warn(covers_too_much(buildings.source, region.bounds, main), GuessWarning)
-    blocks, block_issues, block_guesses = _read_people(people, region)
+    _check_heights(placed.buildings, standing, ground)
+    _check_is_not_empty(placed.buildings, standing, region)
+    if asked is None:
+        _warn_of_far_buildings(placed.buildings, standing, region)
+    blocks, block_issues, of_people = _read_people(placed.people, region)
 
     city = replace(
-        source,
+        standing,
         blocks=blocks,
         terrain=ground,
         terrain_extent_m=ground_extent_m,
-        read_issues={**source.read_issues, **block_issues},
-        attribution=joined_credits(source.attribution, *(each.credit for each in sections)),
+        read_issues={**standing.read_issues, **block_issues},
+        attribution=joined_credits(standing.attribution, *(each.credit for each in placed)),
         sources={role: str(path) for role, path in files.items() if path is not None},
         bounds=region.bounds,
         gps=own_gps,
-        population=population and people,
-        heights=buildings,
+        population=population and placed.people,
+        heights=placed.buildings,
         vegetation=plants,
         kinds=kinds,
     )
-    guesses = ground_guesses + plant_guesses + _guesses_of(city, buildings, region)
-    guesses += block_guesses + _relief_guesses(city, region)
+    of_city = _guesses_of(city, placed.buildings, region)
+    guesses = of_ground + of_plants + of_city + of_people + _relief_guesses(city, region)
     warn_of(guesses)
     return replace(city, guesses=guesses)
+
+
+def _with_lidar(sections: _Sections) -> _Sections:
+    """Return sections in which lidar points of buildings are those of the ground and of plants too."""
+    source = sections.buildings.source
+    if sniff(located(source)) != LIDAR:
+        return sections
+    terrain = replace(sections.terrain, source=sections.terrain.source or source)
+    vegetation = replace(sections.vegetation, source=sections.vegetation.source or source)
+    return sections._replace(terrain=terrain, vegetation=vegetation)
 
 
 def _with_sample(
@@ -239,20 +256,15 @@ def _region_of(bounds: Any, crs: str | None, gps: Gps, has_relief: bool) -> _Reg
 
 
 def _read_ground(
-    path: Any, buildings: settings.Buildings, region: _Region
+    sections: _Sections, region: _Region
 ) -> tuple[Raster | None, Bounds | None, Guesses]:
-    """Return the ground by a file, the box that the file covers, and what was guessed; None without a file.
-
-    Args:
-      path: of a raster or of lidar points, or None.
-      buildings: whose CRS may be that of the points.
-      region: of the city.
-    """
+    """Return the ground by a raster or lidar points, the box of the file, and what was guessed; None without a file."""
+    path = sections.terrain.source
     if path is None:
         return None, None, ()
     num_low = 0
     if sniff(path) == LIDAR:
-        points = _points_of(path, buildings)
+        points = _points_of(path, sections.buildings)
         ground = points.ground
         num_low = points.counts[ReadIssue.GROUND_FAR_BELOW]
         extent_m = area_of_raster(ground, region.crs).bounds
@@ -266,19 +278,19 @@ def _read_ground(
 
 
 def _read_plants(
-    path: Any, buildings: settings.Buildings, ground: Raster | None, region: _Region
+    sections: _Sections, ground: Raster | None, region: _Region
 ) -> tuple[Raster | None, Guesses]:
-    """Return the heights of plants by a file, and what was guessed; None without a file.
+    """Return the heights of plants by a raster or lidar points, and what was guessed; None without a file.
 
     Args:
-      path: of a raster or of lidar points, or None.
-      buildings: whose CRS may be that of the points.
+      sections: which name the file.
       ground: on which plants of points stand.
       region: of the city.
 
     Raises:
       InputError: lidar points without the ground; as of `read_plants`.
     """
+    path = sections.vegetation.source
     if path is None:
         return None, ()
     if sniff(path) != LIDAR:
@@ -289,7 +301,7 @@ def _read_plants(
             "[terrain] source, which may be the same file"
         )
     else:
-        plants = heights_above(_points_of(path, buildings).plants, ground)
+        plants = heights_above(_points_of(path, sections.buildings).plants, ground)
         plants = replace(plants, values=np.nan_to_num(plants.values))
     return plants, plants_guesses(repr(str(path)), plants, region.crs, region.box_m)
 
@@ -323,23 +335,34 @@ def _relief_guesses(city: City, region: _Region) -> Guesses:
     return terrain_guesses(stands, city.terrain, region.crs, region.box_m)
 
 
-def _check_buildings(
-    file: settings.Buildings, source: City, ground: Raster | None, region: _Region
-) -> None:
-    """Raise InputError where heights look like elevations, or none is in the region, unless the settings allow it."""
-    name = repr(str(file.source))
+def _check_heights(file: settings.Buildings, city: City, ground: Raster | None) -> None:
+    """Raise InputError where heights look like elevations, unless ``allow`` has "high"."""
     if "high" not in file.allow:
-        stands = source.roofs if source.buildings is None else source.buildings
-        check_are_heights(name, stands, source.crs, source.extent_m, ground)
-    has_outline = source.buildings is not None and source.buildings.touches(region.box_m).any()
-    has_roof = source.roofs is not None and (source.roofs.values > 0).any()
-    if not (has_outline or has_roof or "none" in file.allow):
-        raise InputError(
-            f"{name} has no building in the region {list(region.bounds)}: "
-            f"{where_it_lies(lonlat_extent(file.source, file.crs), region.bounds)}; "
-            "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
-            'allow = ["none"] if there are none'
-        )
+        stands = city.roofs if city.buildings is None else city.buildings
+        check_are_heights(repr(str(file.source)), stands, city.crs, city.extent_m, ground)
+
+
+def _check_is_not_empty(file: settings.Buildings, city: City, region: _Region) -> None:
+    """Raise InputError where no building is in the region, unless ``allow`` has "none"."""
+    has_outline = city.buildings is not None and city.buildings.touches(region.box_m).any()
+    has_roof = city.roofs is not None and (city.roofs.values > 0).any()
+    if has_outline or has_roof or "none" in file.allow:
+        return
+    where = where_it_lies(lonlat_extent(file.source, file.crs), region.bounds)
+    raise InputError(
+        f"{str(file.source)!r} has no building in the region {list(region.bounds)}: {where}; "
+        "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
+        'allow = ["none"] if there are none'
+    )
+
+
+def _warn_of_far_buildings(file: settings.Buildings, city: City, region: _Region) -> None:
+    """Warn where most buildings stand in a small part of a region that is as large as their file."""
+    if city.buildings is None:
+        return
+    main = main_bounds(city.buildings.polygons, region.crs, region.bounds)
+    if main is not None:
+        warn(covers_too_much(file.source, region.bounds, main), GuessWarning)
 
 
 def _points_of(path: str | Path, buildings: settings.Buildings) -> Points:
@@ -548,27 +571,27 @@ def _city_of(
         that of the whole file, or empty if only a part of the file was read.
       learns: as of `to_buildings`.
     """
-    buildings, structures, boxes_m, issues, learned = to_buildings(file, outlines, crs, learns)
-    everything = buildings
+    found = to_buildings(file, outlines, crs, learns)
+    buildings, structures = found.buildings, found.structures
     area = shapely.Polygon()
     if bounds_m is not None:
-        buildings, structures = (
-            each.take(meets(each.boxes_m.T, bounds_m)) for each in (buildings, structures)
-        )
-        near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
+        buildings = buildings.take(meets(buildings.boxes_m.T, bounds_m))
+        structures = structures.take(meets(structures.boxes_m.T, bounds_m))
+        declared = shapely.box(*np.reshape(found.boxes_m, (-1, 4)).T)
+        near = shapely.intersection(shapely.box(*bounds_m), declared)
         area = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
     if area.is_empty and not outlines.is_part:
-        area = area_of_outlines(everything.polygons, boxes_m)
+        area = area_of_outlines(found.buildings.polygons, found.boxes_m)
     return City(
-        crs,
-        area.bounds,
-        buildings,
+        crs=crs,
+        extent_m=area.bounds,
+        buildings=buildings,
         area=area,
-        read_issues=issues,
+        read_issues=found.issues,
         attribution=outlines.attribution,
         hanging=file.hanging,
         structures=structures,
-        learned=learned,
+        learned=found.learned,
     )
 
 
@@ -649,20 +672,24 @@ def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:
 
     A raster with holes is cut into blocks, `BLOCKS_A_SIDE` a side, and the area is that of the blocks with any data.
     """
-    num_rows, num_cols = raster.values.shape
     is_known = np.isfinite(raster.values)
-    known = shapely.box(0, 0, num_cols, num_rows)  # columns and rows
-    if not is_known.all():
-        # The borders of blocks, and which blocks have any data.
-        row, col = (
-            np.unique(np.linspace(0, num, BLOCKS_A_SIDE + 1).astype(int))
-            for num in (num_rows, num_cols)
-        )
-        has_any = np.logical_or.reduceat(is_known, row[:-1], axis=0)
-        has_any = np.logical_or.reduceat(has_any, col[:-1], axis=1)
-        i, j = np.nonzero(has_any)
-        known = shapely.union_all(shapely.box(col[j], row[i], col[j + 1], row[i + 1]))
+    num_rows, num_cols = is_known.shape
+    pixels = shapely.box(0, 0, num_cols, num_rows) if is_known.all() else _known_pixels(is_known)
 
     # Straight sides of pixels bend in another CRS, so they are cut into short pieces before.
-    area = shapely.segmentize(known, max(num_rows, num_cols) / BLOCKS_A_SIDE)
-    return shapely.transform(area, lambda x, y: pixel_xy(raster, y, x, crs), interleaved=False)
+    area = shapely.segmentize(pixels, max(num_rows, num_cols) / BLOCKS_A_SIDE)
+    return shapely.transform(
+        area, lambda col, row: pixel_xy(raster, row, col, crs), interleaved=False
+    )
+
+
+def _known_pixels(is_known: np.ndarray) -> shapely.Geometry:
+    """Return the blocks of a raster that hold any data, ``[Y, X]``, in columns and rows."""
+    # Blocks of a small raster are narrower than a pixel: some borders are the same.
+    row, col = (
+        np.unique(np.linspace(0, num, BLOCKS_A_SIDE + 1).astype(int)) for num in is_known.shape
+    )
+    has_any = np.logical_or.reduceat(is_known, row[:-1], axis=0)
+    has_any = np.logical_or.reduceat(has_any, col[:-1], axis=1)
+    i, j = np.nonzero(has_any)
+    return shapely.union_all(shapely.box(col[j], row[i], col[j + 1], row[i + 1]))

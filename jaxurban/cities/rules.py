@@ -342,6 +342,7 @@ def _strength(name: str) -> int:
 
 RULES = ALONE | {name: THINGS[name] for name in sorted(THINGS, key=_strength)} | BUILDINGS
 RANKS = {name: np.int16(rank) for rank, name in enumerate(RULES)}
+NO_RULE = RANKS["nothing of the table"]
 NAMES = np.array([*RULES], object)
 GIVES = np.array([*RULES.values()], object)
 IS_UNSURE = np.array([name in THINGS and _strength(name) == UNSURE for name in RULES])
@@ -388,21 +389,23 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _by_value(
-    numbers: np.ndarray, different: np.ndarray, signs: Signs, rules: Mapping[str, str]
+    number: np.ndarray, values: np.ndarray, signs: Signs, rules: Mapping[str, str]
 ) -> np.ndarray:
-    """Return ``[N]`` which rule decides by the values of a tag, as an index of `RULES`, 0 where none does.
+    """Return ``[N]`` the rules that the values of a tag name, as indices of `RULES`, `NO_RULE` where they name none.
+
+    What is low or indoors is not taken for something unknown, and neither is a pond by ``man_made=yes`` or the like.
 
     Args:
-      numbers: ``[N]`` which value each has.
-      different: the values.
+      number: ``[N]`` which value each feature has.
+      values: the different values.
       signs: as of `decide`.
       rules: by value.
     """
-    deciding = [RANKS[_strongest(text, rules, signs["names"])] for text in different]
-    ranks = np.array(deciding, np.int16)[numbers]
-    is_no_sign = signs["low"] | (signs["pond"] & (different == "yes")[numbers])
-    ranks[is_no_sign & IS_UNSURE[ranks]] = 0
-    return ranks
+    strongest = [RANKS[_strongest(value, rules, signs["names"])] for value in values]
+    ranks = np.array(strongest, np.int16)[number]
+    is_yes_of_pond = signs["pond"] & (values == "yes")[number]
+    is_dismissed = (signs["low"] | is_yes_of_pond) & IS_UNSURE[ranks]
+    return np.where(is_dismissed, NO_RULE, ranks)
 
 
 def _strongest(text: str, rules: Mapping[str, str], has_numbers: bool) -> str:

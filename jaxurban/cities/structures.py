@@ -79,7 +79,7 @@ def to_structures(
     """Return what stands beside buildings, what is learned of unknown heights by kind, and what was met.
 
     Args:
-      file: height of one level.
+      file: the settings of the file, such as the height of one level.
       outlines: from `what_stands`, in a projected CRS; a `BUILDING` is a polygon without area.
       buildings: with their bounds.
       waters: what bridges may cross.
@@ -87,14 +87,13 @@ def to_structures(
     """
     spans = in_spans(outlines)
     others, learned = _others_of(spans, file, waters, learns)
-    structures, is_same = _on_roofs(_structures(others), spans, buildings)
-    structures = with_supports(structures, spans.polygons)
-    is_left_out = (structures.height_m == 0) & (structures.kinds != UNKNOWN)
-    guys = _guys(structures, spans)
-    structures = structures.take(~is_left_out & ~is_same).joined(guys)
+    on_roofs, names_building = _on_roofs(_structures(others), spans, buildings)
+    rows = with_supports(on_roofs, spans.polygons)  # still one for each of the spans
+    has_no_height = (rows.height_m == 0) & (rows.kinds != UNKNOWN)
+    structures = rows.take(~has_no_height & ~names_building).joined(_guys(rows, spans))
     is_unknown = structures.kinds == UNKNOWN
     issues = {
-        ReadIssue.NOT_STANDING: num_of(is_left_out),
+        ReadIssue.NOT_STANDING: num_of(has_no_height),
         ReadIssue.UNKNOWN_EXTENT: num_of(is_unknown),
         ReadIssue.UNKNOWN_HEIGHT: num_of(structures.is_guessed & ~is_unknown),
     }
@@ -115,28 +114,37 @@ def _others_of(
     names = np.array([kind.name for kind in kinds], object)
     stated = _stated(outlines, kinds, file)
     has_height = ~np.isin(stated.origin, (HeightOrigin.DEFAULT, HeightOrigin.UNREADABLE))
-    is_measured = (stated.origin == HeightOrigin.HEIGHT) & (kinds != BRIDGE) & (kinds != HULL)
-    measured_m = np.where(is_measured, stated.height_m, 0.0)
-    given_m = measured_m * np.isin(names, LEARNED_KINDS) * learns
-    learned = learned_from(names, given_m, given_m)
-    is_estimated = stated.origin == HeightOrigin.ESTIMATED
-    guess_m = np.where(has_height, np.nan, of_classes(learned, names, "guess_m"))
-    likely_m = of_classes(learned, names, "likely_m")
-    likely_m = np.maximum(likely_m, np.nan_to_num(lengths_m(outlines, "estimated_to_m")))
-    likely_m[has_height & ~is_estimated] = np.nan
+    measured_m = _measured_m(stated, kinds)
+    # A guess and what is likely are both of measured heights, as levels say nothing of what is no building.
+    known_m = measured_m * np.isin(names, LEARNED_KINDS) * learns
+    learned = learned_from(names, known_m, known_m)
+    is_settled = has_height & (stated.origin != HeightOrigin.ESTIMATED)
     others = _Others(
-        outlines,
-        kinds,
-        names,
-        shapely.get_dimensions(outlines.polygons),
-        _sizes(outlines, kinds, waters),
-        stated,
-        has_height,
-        measured_m,
-        guess_m,
-        likely_m,
+        outlines=outlines,
+        kinds=kinds,
+        names=names,
+        dimension=shapely.get_dimensions(outlines.polygons),
+        sizes=_sizes(outlines, kinds, waters),
+        stated=stated,
+        has_height=has_height,
+        measured_m=measured_m,
+        guess_m=np.where(has_height, np.nan, of_classes(learned, names, "guess_m")),
+        likely_m=np.where(is_settled, np.nan, _likely_m(outlines, learned, names)),
     )
     return others, learned
+
+
+def _measured_m(stated: Footprints, kinds: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` the heights that the file gives of all of a structure, 0 without one."""
+    is_whole = (kinds != BRIDGE) & (kinds != HULL)
+    is_measured = (stated.origin == HeightOrigin.HEIGHT) & is_whole
+    return np.where(is_measured, stated.height_m, 0.0)
+
+
+def _likely_m(outlines: Outlines, learned: dict[str, Learned], names: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` what is likely by name, or by an estimate's own upper end; NaN where nothing is learned."""
+    upper_m = np.nan_to_num(lengths_m(outlines, "estimated_to_m"))
+    return np.maximum(of_classes(learned, names, "likely_m"), upper_m)
 
 
 def _sizes(outlines: Outlines, kinds: np.ndarray, waters: np.ndarray) -> KindSizes:
