@@ -124,12 +124,13 @@ def sweep_unused(folder: Path) -> None:
     """Remove, once a session, what in a closed folder has a program's name and was not used for long."""
     for names, most_s in MOST_S.items():
         for place in folder.glob(names):
-            if time() - place.lstat().st_mtime < most_s:
-                continue
-            if place.is_dir():
-                shutil.rmtree(place)
-            else:
-                place.unlink()
+            with suppress(OSError):  # another user's, or swept by another session
+                if time() - place.lstat().st_mtime < most_s:
+                    continue
+                if place.is_dir():
+                    shutil.rmtree(place)
+                else:
+                    place.unlink()
 
 
 @contextmanager

@@ -28,7 +28,7 @@ import shapely
 from jaxurban import wings
 from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, readable, warn
-from jaxurban.flights.missions.parts import circle_around
+from jaxurban.flights.missions.parts import GEOD, circle_around
 from jaxurban.io.broken import BROKEN
 from jaxurban.io.sniff import in_own_words, sniff, unpacked
 from jaxurban.io.tables import is_blank
@@ -60,14 +60,24 @@ UNIT_NAME = re.compile(
     r"^(uom|units?)|(uom|units?|datum)$|(vertical|altitude|height|limit|lower|upper).*ref"
 )
 UNIT_READ = re.compile("m|met(re|er)s?|agl|sfc|gnd|ground|surface|abovegroundlevel")
-BUFFER_NAME = re.compile("buffer|puffer|margin|offset|expand|setback|safetydistance")
+# Values, and names, of another unit or another zero, under whatever name they stand.
+OTHER_UNIT = re.compile(
+    r"(a?msl|ft|feet|foot|fl|std|qnh|qfe|pressure|wgs84|hae|ellipsoid(al)?|nhn|nn|navd88|egm\d*|absolute)\d*"
+)
+BUFFER_NAME = re.compile(
+    "buffer|puffer|margin|offset|expand|setback|safetydistance|standoff|clearance|tampon|abstand"
+)
+RADIUS_NAME = re.compile("radius(m|km|nm|ft)?")
+RADIUS_UNITS_M = np.array([1.0, 1000.0, 1852.0, 0.3048])
+DRAWN = 0.1  # a polygon is drawn as wide as its radius says, but for so much
 ROLE = "no-fly"
 GEOZONE_FORMATS = (".geojson", ".geojsonl")  # of `sniff`
 GEOZONE = re.compile(
     rb'"(horizontalProjection|limitedApplicability|(lower|upper)Reference)"|"extent"\s*:\s*\{'
 )
 OPEN = "NO_RESTRICTION"  # a zone that informs, and closes nothing
-ON_APPROVAL = ("REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL")
+ON_APPROVAL = {"REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL"}
+CLOSED = {"PROHIBITED"} | ON_APPROVAL
 METRES = {"M": 1.0, "FT": 0.3048}
 CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wider
 WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
@@ -83,7 +93,7 @@ REMARKS = {
     "limits": "have limits in a unit or above a zero that is not read, and reach on to every altitude there "
     "(give metres above ground)",
     "hours": "have days or hours, which are not read, and are closed from their first to their last time",
-    "times": "have times that cannot be read, and are taken to be in force always",
+    "times": "have times that cannot be read or end before they begin, and are taken to be in force always",
     "crossing": "have outlines that cross themselves, and close all that these enclose",
     "all_around": "have edges of more than 180 degrees of longitude, and are closed all around the Earth (cut them at "
     "the antimeridian)",
@@ -94,6 +104,7 @@ FEATURE = re.compile(
     rb'"type"\s*:\s*"Feature"|<(?:[\w.-]+:)?(?:Placemark|GroundOverlay|PhotoOverlay|NetworkLink)\b'
 )
 OUTLINE = re.compile(rb'"coordinates"\s*:\s*\[|<(?:[\w.-]+:)?(?:coordinates|Track|LatLonBox)\b')
+CIRCLE = re.compile(rb'"type"\s*:\s*"circle"', re.IGNORECASE)  # of ED-269
 MODEL, SQLITE = b"<Model", b"SQLite format 3"
 SHAPE_NAMES = ("geometry", "geometries", "geom", "wkt", "wkb", "shape")
 Json = Mapping[str, Any]
@@ -107,9 +118,9 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
 
     Of a vector file every layer (every folder of a KML file) is read; what is no polygon is an unknown zone. Floor and
     ceiling are the properties named in `FLOOR_NAMES` and `CEILING_NAMES`, metres above ground; where several are
-    filled, the lowest floor and the highest ceiling count, and where all are empty, the zone has none. Other properties
-    that sound like heights are ignored with a warning, and so are all heights of a zone one of whose properties names
-    another unit or another zero than the ground. Heights of corners are not read.
+    filled, the lowest floor and the highest ceiling count, and where all are empty, the zone has none. All heights of a
+    zone are ignored with a warning where another property sounds like one, or names another unit or another zero than
+    the ground. Heights of corners are not read.
 
     Of ED-269 and ED-318 zones of every restriction but ``NO_RESTRICTION`` are closed; those that hold on conditions or
     until someone authorises a flight too, which a warning says. Circles become polygons around them. Limits above the
@@ -135,7 +146,10 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     else:
         zones = _of_geozones(features, path.name)
         read = json.dumps([feature.get("geometry") for feature in features]).encode()
-        num_more = len(OUTLINE.findall(content)) - len(OUTLINE.findall(read))
+        num_more = sum(
+            len(outline.findall(content)) - len(outline.findall(read))
+            for outline in (OUTLINE, CIRCLE)
+        )
         zones += _not_read(num_more, path.name)
 
     for remark, sentence in REMARKS.items():
@@ -200,7 +214,7 @@ def _of_vector_file(path: Path, content: bytes, kind: str) -> list[Zone]:
             why = ""
             if shape.is_empty or "Polygon" not in shape.geom_type:
                 why = "no_area"
-            elif any(BUFFER_NAME.search(name) for name in facts):
+            elif _is_wider(facts, shape, frame.crs.is_geographic):
                 why = "buffer"
             if why:
                 zones.append(
@@ -238,9 +252,9 @@ def _num_outlines(shapes: np.ndarray, kind: str) -> int:
 
 
 def _num_shapes(name: object, values: pd.Series) -> int:
-    """Return how many shapes a column beside the geometry holds."""
+    """Return how many shapes a column beside the geometry holds; bytes were read as text."""
     is_named = _plain(name) in SHAPE_NAMES
-    holds_them = values.dtype == "geometry" or values.map(type).isin([bytes]).any()
+    holds_them = values.dtype == "geometry" or values.astype(str).str.startswith("\"b'").any()
     return values.count() if is_named or holds_them else 0
 
 
@@ -262,8 +276,8 @@ def _plain(name: object) -> str:
 def _heights(facts: Json, label: str, remarks: Remarks) -> tuple[float, float]:
     """Return floor and ceiling of a polygon in metres above ground, infinite where it has none.
 
-    Of several floors the lowest counts, of several ceilings the highest. Where a property names another unit or another
-    zero than the ground, both are infinite.
+    Of several floors the lowest counts, of several ceilings the highest. Where a property sounds like a height and is
+    not read, or names another unit or another zero than the ground, both are infinite.
 
     Args:
       facts: its filled properties by plain name.
@@ -281,14 +295,52 @@ def _heights(facts: Json, label: str, remarks: Remarks) -> tuple[float, float]:
         ]
         for names in (FLOOR_NAMES, CEILING_NAMES)
     )
-    units = [str(value) for name, value in facts.items() if UNIT_NAME.search(name)]
-    unread = [unit for unit in units if not UNIT_READ.fullmatch(_plain(unit))]
-    if unread and (floors_m or ceilings_m):
+    if (floors_m or ceilings_m) and _has_other_unit(facts):
         remarks.append("limits")
         return -math.inf, math.inf
     if any(map(_is_ignored, facts)):
         remarks.append("other_limits")  # of which `_warn_of_ignored` says more
+        return -math.inf, math.inf
     return min(floors_m, default=-math.inf), max(ceilings_m, default=math.inf)
+
+
+def _has_other_unit(facts: Json) -> bool:
+    """Return whether a property of a polygon, by plain name, names another unit or another zero than it is read in."""
+    for name, value in facts.items():
+        text = _plain(value)
+        if UNIT_NAME.search(name) and not UNIT_READ.fullmatch(text):
+            return True
+        is_name = name in map(_plain, NAME_NAMES)
+        if not is_name and (OTHER_UNIT.fullmatch(text) or OTHER_UNIT.fullmatch(name)):
+            return True
+    return False
+
+
+def _is_wider(facts: Json, shape: shapely.Geometry, is_lonlat: bool) -> bool:
+    """Return whether a polygon closes more than it draws: by a buffer, or by a radius that it is not drawn with.
+
+    Args:
+      facts: its properties by plain name.
+      shape: the polygon.
+      is_lonlat: whether coordinates are longitude and latitude in degrees, else metres.
+    """
+    if any(map(BUFFER_NAME.search, facts)):
+        return True
+    radii = [value for name, value in facts.items() if RADIUS_NAME.fullmatch(name)]
+    if not radii:
+        return False
+    x, y = shapely.get_coordinates(shape).T
+    if is_lonlat:
+        centre = shapely.centroid(shape)
+        _, _, away_m = GEOD.inv(*np.broadcast_arrays(centre.x, centre.y, x, y))
+    else:
+        away_m = shapely.distance(shapely.centroid(shape), shapely.points(x, y))
+    drawn_m = np.max(away_m)
+    for radius in pd.to_numeric(pd.Series(radii), errors="coerce"):
+        is_drawn = np.abs(radius * RADIUS_UNITS_M - drawn_m) <= DRAWN * drawn_m
+        if not is_drawn.any():
+            return True
+    return False
 
 
 def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
@@ -298,7 +350,8 @@ def _warn_of_ignored(properties: pd.DataFrame, file: str) -> None:
     if ignored:
         warn(
             f"{', '.join(ignored)} of {file!r} not read: floors and ceilings are {', '.join(FLOOR_NAMES)} "
-            f"and {', '.join(CEILING_NAMES)}, metres above ground, and a zone without is closed at all altitudes",
+            f"and {', '.join(CEILING_NAMES)}, metres above ground, and a zone with others, or without, is closed at "
+            "all altitudes",
             IgnoredZoneWarning,
         )
 
@@ -323,13 +376,13 @@ def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:
     for number, feature in enumerate(features, start=1):
         facts = feature["properties"] if isinstance(feature.get("properties"), dict) else feature
         name = _name(facts, f"zone {number}")
-        restriction = str(facts.get("restriction", facts.get("type", ""))).upper()
-        if restriction == OPEN:
+        restrictions = {str(facts.get(key)).upper() for key in ("restriction", "type")}
+        if OPEN in restrictions and restrictions.isdisjoint(CLOSED):
             zones.append(
                 Zone(name, NOWHERE, source=file, state="open", remarks=("no_restriction",))
             )
             continue
-        of_feature: Remarks = ["on_approval"] if restriction in ON_APPROVAL else []
+        of_feature: Remarks = [] if restrictions.isdisjoint(ON_APPROVAL) else ["on_approval"]
         start, end = _times(facts, of_feature)
 
         # The volumes of the zone: limits and outline of each.
@@ -347,6 +400,9 @@ def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:
             if not all(isinstance(shape["layer"], dict | None) for shape in shapes):
                 raise ValueError("its layer is no object")
             volumes = [(shape["layer"] or {}, _outline(shape)) for shape in shapes]
+            is_wider = any(
+                str(shape["type"]).lower() != "point" and "extent" in shape for shape in shapes
+            )
         except BROKEN as error:
             is_said = isinstance(error, ValueError)
             why = str(error) if is_said else "a part is missing, or is of another kind"
@@ -354,12 +410,16 @@ def _of_geozones(features: Sequence[Json], file: str) -> list[Zone]:
                 f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file"
             ) from error
 
+        layers = [layer for layer, _ in volumes]
         for layer, outline in volumes:
             remarks = [*of_feature]
             whole = _whole(outline, remarks, is_lonlat=True)
             limits_m = _limits(layer, label, remarks)
             once = tuple(dict.fromkeys(remarks))
             zones.append(Zone(name, whole, "EPSG:4326", *limits_m, file, start, end, remarks=once))
+        names = [_plain(key) for part in (feature, facts, *shapes, *layers) for key in part]
+        if is_wider or any(map(BUFFER_NAME.search, names)):
+            zones.append(Zone(name, NOWHERE, source=file, state="unknown", remarks=("buffer",)))
     return zones
 
 
@@ -465,19 +525,25 @@ def _limits(layer: Json, label: str, remarks: Remarks) -> tuple[float, float]:
     Raises:
       InputError: a limit above ground that is not a number.
     """
-    unit_m = METRES.get(str(layer.get("uomDimensions", layer.get("uom", ""))).upper())
+    units = _words(layer, "uomDimensions", "uom")
+    unit_m = METRES.get(*units) if len(units) == 1 else None
     limits_m = {"lower": -math.inf, "upper": math.inf}
     for end in limits_m:
-        value = layer.get(f"{end}Limit", layer.get(end))
-        zero = str(layer.get(f"{end}VerticalReference", layer.get(f"{end}Reference"))).upper()
-        if value is None:
+        keys = [key for key in (f"{end}Limit", end) if layer.get(key) is not None]
+        if not keys:
             continue
-        if zero != "AGL" or unit_m is None:
+        zeros = _words(layer, f"{end}VerticalReference", f"{end}Reference")
+        if zeros != {"AGL"} or unit_m is None or len(keys) > 1:
             remarks.append("limits")
             continue
         what = f"the {end} limit of the no-fly zone {label}"
-        limits_m[end] = finite(what, value, "metres or feet") * unit_m
+        limits_m[end] = finite(what, layer[keys[0]], "metres or feet") * unit_m
     return limits_m["lower"], limits_m["upper"]
+
+
+def _words(facts: Json, *keys: str) -> set[str]:
+    """Return the different words, in capitals, that stand under some keys."""
+    return {str(facts[key]).upper() for key in keys if key in facts}
 
 
 def _times(facts: Json, remarks: Remarks) -> tuple[datetime | None, datetime | None]:
@@ -489,13 +555,20 @@ def _times(facts: Json, remarks: Remarks) -> tuple[datetime | None, datetime | N
       facts: of the zone, under the keys of ED-269 or ED-318.
       remarks: get that times cannot be read, or that periods have days or hours.
     """
-    periods = facts.get("applicability", facts.get("limitedApplicability")) or []
+    periods = [
+        period
+        for key in ("applicability", "limitedApplicability")
+        for period in facts.get(key) or ()
+    ]
     try:
-        permanent = [str(period.get("permanent")).upper() for period in periods]
-        if not periods or "YES" in permanent:
+        permanent = {str(period.get("permanent")).upper() for period in periods}
+        if not periods or permanent & {"YES", "TRUE"}:
             return None, None
         starts = [_time(period.get("startDateTime")) for period in periods]
         ends = [_time(period.get("endDateTime")) for period in periods]
+        for begin, stop in zip(starts, ends, strict=True):
+            if begin and stop and stop < begin:
+                raise ValueError("it ends before it begins")
     except BROKEN:
         remarks.append("times")
         return None, None

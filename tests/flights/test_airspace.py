@@ -156,6 +156,12 @@ def test_every_format_in_every_crs_closes_the_same_cells(tmp_path, suffix, crs):
         ({"ceiling": 400}, INFINITE, "'ceiling' of 'a.geojson' not read"),
         ({"LOWER_VAL": 400}, INFINITE, "'LOWER_VAL'"),
         ({"minimumAltitude": 400, "unit": "ft"}, INFINITE, "limits in a unit or above a zero"),
+        ({"minimumAltitude": 100, "floor_reference": "AMSL"}, INFINITE, "not read"),
+        ({"minimumAltitude": 100, "altitudeType": 2}, INFINITE, "not read"),
+        ({"floor_m": 100, "floor_ft": 0}, INFINITE, "not read"),
+        ({"floor_m": 100, "Bezug": "NHN"}, INFINITE, "or above a zero"),
+        ({"floor_m": 100, "dimension": "ft"}, INFINITE, "limits in a unit"),
+        ({"floor_m": 100, "msl": True}, INFINITE, "or above a zero"),
         (
             {"ceiling_m": 120, "lowerVerticalReference": "AMSL"},
             INFINITE,

@@ -304,7 +304,7 @@ def test_a_second_take_off_climbs_from_the_landing(read):
 def fence_of(kind="polygons", outline=None, **more) -> dict:
     """Return a geofence of one area."""
     outline = outline or [[LAT, LON], [LAT, LON + 1], [LAT + 1, LON]]
-    part = {"inclusion": False, "polygon": outline, "circle": outline, "version": 1} | more
+    part = {"inclusion": False, kind.removesuffix("s"): outline, "version": 1} | more
     return {"version": 2, "polygons": [], "circles": []} | {kind: [part]}
 
 
@@ -342,6 +342,11 @@ def test_a_geofence_is_read_and_what_of_it_is_damaged_is_named(read):
         assert (number, mission.zones) == (number, [])
         assert (number, len(mission.not_judged)) == (number, 1)
         assert "is damaged, and not judged" in mission.not_judged[0]
+    for more in {"circle": circle}, {"maxAltitude": 30}:
+        mission = read_with(read, fence_of(**more))
+        assert len(mission.zones) == 1
+        (note,) = mission.not_judged
+        assert note == f"geofence polygon 1 holds {', '.join(more)}, which is not judged"
     (note,) = read_with(read, fence_of() | {"maxAltitude": 50.0}).not_judged
     assert note == "its part 'maxAltitude' is not judged"
     (note,) = read_with(read, fence_of() | {"version": 1}).not_judged

@@ -21,6 +21,7 @@ from jaxurban.errors import IgnoredZoneWarning
 from jaxurban.flights.airspace import read_zones
 from jaxurban.flights.export.write import FORMATS
 from jaxurban.flights.missions.items import read_plan
+from jaxurban.flights.missions.parts import GEOD
 from jaxurban.flights.report import plot_mission
 from jaxurban.io.zone import Zone
 from jaxurban.paths.suffixes import FLOWN
@@ -37,6 +38,8 @@ HOLE = [
 KNOT = [[LON + 1e-4 * x, LAT + 1e-4 * y] for x, y in [(0, 0), (1, 1), (1, 0), (0, 1), (0, 0)]]
 JUMP = [[179.9, 0], [-179.9, 0], [-179.9, 1], [179.9, 1], [179.9, 0]]
 POLYGON = {"type": "Polygon", "coordinates": SQUARE}
+AROUND = GEOD.fwd(*np.broadcast_arrays(LON, LAT, np.arange(0, 361, 10), 10))
+DISC = {"type": "Polygon", "coordinates": [np.column_stack(AROUND[:2]).tolist()]}
 POINT = {"type": "Point", "coordinates": [LON, LAT]}
 LINE = {"type": "LineString", "coordinates": SQUARE[0][:3]}
 COLLECTION = {
@@ -47,6 +50,12 @@ COLLECTION = {
 }
 MIXED = {"type": "GeometryCollection", "geometries": [POLYGON, POINT]}
 ALWAYS = [{"permanent": "YES"}]
+LONG_AGO = {"startDateTime": "2001-01-01T00:00:00Z", "endDateTime": "2001-01-02T00:00:00Z"}
+OVER = LONG_AGO | {"permanent": True}
+REVERSED = [
+    {"startDateTime": "2030-01-01T00:00:00Z", "endDateTime": "2020-01-01T00:00:00Z"},
+]
+CIRCLE = {"type": "Circle", "center": [LON, LAT], "radius": 500}
 
 
 class Form(NamedTuple):
@@ -92,9 +101,9 @@ def ed269_zone(name: str, restriction: str, volumes) -> dict:
     return about | {"geometry": volumes}
 
 
-def ed269(geometry, states, restriction="PROHIBITED") -> Form:
+def ed269(geometry, states, restriction="PROHIBITED", **more) -> Form:
     first = ed269_zone("A", "PROHIBITED", [volume()])
-    second = ed269_zone("B", restriction, geometry)
+    second = ed269_zone("B", restriction, geometry) | more
     states = {"A": "closed"} | states if isinstance(states, dict) else states
     return Form(".json", json.dumps({"features": [first, second]}), states)
 
@@ -135,7 +144,7 @@ FORMS = {
     "geometry left out": geojson(
         {"type": "Feature", "properties": {"name": "B"}}, states={"B": "unknown"}
     ),
-    "circle of another format": of({"type": "Circle", "center": [LON, LAT], "radius": 500}),
+    "circle of another format": of(CIRCLE),
     "collection": geojson(feature(MIXED), states=BOTH),
     "collection in a collection": geojson(
         feature({"type": "GeometryCollection", "geometries": [MIXED]}), states=BOTH
@@ -167,6 +176,11 @@ FORMS = {
     ),
     "polygon with a buffer": geojson(feature(POLYGON, buffer_m=50), states=BOTH),
     "polygon with a margin": geojson(feature(POLYGON, SafetyMargin="50 m"), states=BOTH),
+    "polygon with a stand-off": geojson(feature(POLYGON, standoff_m=50), states=BOTH),
+    "polygon with a wider radius": geojson(feature(POLYGON, radius_m=5000), states=BOTH),
+    "polygon with a radius in words": geojson(feature(POLYGON, radius="wide"), states=BOTH),
+    "circle drawn, in nautical miles": of(DISC, "closed", radius=0.0054),
+    "circle drawn, in metres": of(DISC, "closed", Radius_M=10),
     "polygon without its buffer": of(POLYGON, "closed", buffer=None),
     "shapes beside the features of ED-269": Form(
         ".json",
@@ -250,6 +264,29 @@ FORMS = {
         [volume(), volume("FT")], {"B": "closed", "B ": "closed"}
     ),
     "ED-269: above the sea": ed269([volume(zero="AMSL")], {"B": "closed"}),
+    "ED-269: another unit beside": ed269([volume(uom="FT") | {"uom": "M"}], {"B": "closed"}),
+    "ED-269: ends before it begins": ed269([volume()], {"B": "closed"}, applicability=REVERSED),
+    "ED-269: permanent, and over": ed269([volume()], {"B": "closed"}, applicability=[OVER]),
+    "ED-269: over, and again": ed269(
+        [volume()],
+        {"B": "closed"},
+        applicability=[OVER | {"permanent": "NO"}],
+        limitedApplicability=ALWAYS,
+    ),
+    "ED-269: prohibited beside for information": ed269(
+        [volume()], {"B": "closed"}, "NO_RESTRICTION", type="PROHIBITED"
+    ),
+    "ED-269: buffer": ed269([volume() | {"buffer": 500}], BOTH),
+    "ED-269: circle beside the zones": Form(
+        ".json",
+        json.dumps(
+            {"features": [ed269_zone("A", "PROHIBITED", [volume()])], "more": [{"shape": CIRCLE}]}
+        ),
+        {"A": "closed", "1 more": "unknown"},
+    ),
+    "ED-318: polygon with an extent": ed318(
+        POLYGON | {"extent": {"subType": "Circle", "radius": 500}}, {"A": "closed"} | BOTH
+    ),
     "ED-269: for information": ed269([volume()], {"B": "open"}, "NO_RESTRICTION"),
     "ED-269: no volume": ed269([], "'B' of .*it has no volume"),
     "ED-269: point": ed269([volume(**POINT)], "'B' of .* cannot be read"),

@@ -33,13 +33,16 @@ def read_geofence(geofence: Mapping[str, Any], source: str) -> tuple[list[Zone],
         for number, part in enumerate(geofence.get(f"{kind}s") or [], 1):
             name = f"geofence {kind} {number}"
             try:
+                more = ", ".join(part.keys() - {kind, "inclusion", "version"})
+                if more:
+                    notes.append(f"{name} holds {more}, which is not judged")
                 lats, lons = corners_of(part[kind]).T
                 if part.get("version", 1) != 1:
                     raise ValueError(part["version"])
                 ring = shapely.Polygon(np.column_stack([np.unwrap(lons, period=360), lats]))
                 area = polygonal(shapely.make_valid(ring))
                 zones[part["inclusion"]].append(Zone(name, area, source=source))
-            except (LookupError, TypeError, ValueError):
+            except (AttributeError, LookupError, TypeError, ValueError):
                 notes.append(f"{name} is damaged, and not judged")
 
     for zone in zones[True]:
