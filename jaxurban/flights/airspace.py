@@ -65,7 +65,8 @@ OTHER_UNIT = re.compile(
     r"(a?msl|ft|feet|foot|fl|std|qnh|qfe|pressure|wgs84|hae|ellipsoid(al)?|nhn|nn|navd88|egm\d*|absolute)\d*"
 )
 BUFFER_NAME = re.compile(
-    "buffer|puffer|margin|offset|expand|setback|safetydistance|standoff|clearance|tampon|abstand"
+    "buffer|puffer|margin|offset|expand|setback|safetydistance|standoff|clearance|tampon|abstand|padding|"
+    "inflat|dilat|separation|keepout"
 )
 RADIUS_NAME = re.compile("radius(m|km|nm|ft)?")
 RADIUS_UNITS_M = np.array([1.0, 1000.0, 1852.0, 0.3048])
