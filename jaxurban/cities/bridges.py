@@ -33,7 +33,7 @@ NUM_LANES = 2  # of all others
 
 
 class KindSizes(NamedTuple):
-    """KindSizes by kind, ``[N]`` each: the height (of a bridge its deck's), the bound, and half the width of a line."""
+    """Sizes by kind, ``[N]`` each: the height (of a bridge its deck's), the bound, and half the width of a line."""
 
     height_m: np.ndarray
     limit_m: np.ndarray
@@ -47,26 +47,25 @@ def bridges_of(outlines: Outlines, waters: np.ndarray) -> KindSizes:
       outlines: ``N`` bridges in a projected CRS, with their tags.
       waters: shapes of what bridges may cross; without any, every bridge may cross some.
     """
-    layer = np.fmax(read_column(outlines.column("layer"), parse_count), 1.0)
+    layers = np.fmax(read_column(outlines.column("layer"), parse_count), 1.0)
     texts = outlines.texts("bridge") + " " + outlines.texts("bridge_structure")
     words = pd.Series(texts, dtype=str).str
-    is_high = words.contains(HIGH)
-    is_high |= ~np.isin(outlines.texts("bridge_movable"), ("", "no"))
-    is_high |= outlines.says("man_made", [DECK])
-    is_high |= outlines.says("railway", ["monorail"]) | outlines.says("viaduct", ["yes"])
-    is_hanging = words.contains(HANGING)
-    is_hanging |= _is_long(outlines.polygons) & _crosses(outlines.polygons, waters)
+    is_movable = ~np.isin(outlines.texts("bridge_movable"), ("", "no"))
+    leads_high = outlines.says("railway", ["monorail"]) | outlines.says("viaduct", ["yes"])
+    is_area = outlines.says("man_made", [DECK])
+    is_high = words.contains(HIGH) | is_movable | leads_high | is_area
+    leads_far = _is_long(outlines.polygons) & _crosses(outlines.polygons, waters)
+    is_hanging = words.contains(HANGING) | leads_far
+    of_kind_m = np.select([is_hanging, is_high], [HANGING_M, HIGH_M], 0.0)
+    of_layers_m = LAYER_LIMIT_M * layers + ABOVE_LAYERS_M
 
-    lanes = read_column(outlines.column("lanes"), parse_count)
-    by_kind = [LANES.get(text, NUM_LANES) for text in outlines.texts("highway")]
-    lanes = np.where(lanes > 0, lanes, by_kind)
+    said_lanes = read_column(outlines.column("lanes"), parse_count)
+    usual_lanes = [LANES.get(text, NUM_LANES) for text in outlines.texts("highway")]
+    lanes = np.where(said_lanes > 0, said_lanes, usual_lanes)
     return KindSizes(
-        BRIDGE.height_m * layer,
-        np.maximum(
-            LAYER_LIMIT_M * layer + ABOVE_LAYERS_M,
-            np.select([is_hanging, is_high], [HANGING_M, HIGH_M], 0.0),
-        ),
-        (LANE_M * lanes + SHOULDERS_M) / 2,
+        height_m=BRIDGE.height_m * layers,
+        limit_m=np.maximum(of_layers_m, of_kind_m),
+        radius_m=(LANE_M * lanes + SHOULDERS_M) / 2,
     )
 
 

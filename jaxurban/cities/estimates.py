@@ -59,25 +59,34 @@ def with_estimates(
       values: ``[N]`` columns by plain name, without figures of a publisher whose heights are measured.
       file_name, height_column: of a table.
     """
+    is_estimated = _is_of_model(values, file_name, height_column)
+    if not is_estimated.any():
+        return tags
+    missing = np.full(len(is_estimated), np.nan)
+    height_m = read_column(tags.get("height", missing), parse_length_m)
+    upper_m = read_column(values.get(UPPER, missing), parse_length_m)
+    variance_m2 = read_column(values.get(VARIANCE, missing), parse_length_m)
+    spread_m = np.sqrt(np.fmax(variance_m2, 0.0))
+    most_m = np.fmax(upper_m, height_m + MOST_OF_NORMAL * spread_m)
+    estimated_to_m = np.where(is_estimated, np.nan_to_num(most_m).astype(object), None)
+    return {**tags, "estimated_to_m": estimated_to_m}
+
+
+def _is_of_model(
+    values: Mapping[str, np.ndarray], file_name: str, height_column: str
+) -> np.ndarray:
+    """Return ``[N]`` whether a model estimated heights, by the first word that says where each is from."""
     num = len(next(iter(values.values()), ()))
     words = np.full(num, None, object)
     for origin in _origins(values):
         words = np.where(is_given(words), words, origin)
     is_said = is_given(words)
-    is_estimated = np.zeros(num, bool)
-    is_estimated[is_said] = [MODEL.search(str(word).strip()) is not None for word in words[is_said]]
-    if MODEL.search(height_column) or re.search(DATA_SETS, file_name, re.IGNORECASE):
-        is_estimated |= ~is_said
-    if not is_estimated.any():
-        return tags
-    height_m, variance, upper_m = (
-        read_column(columns.get(name, np.full(num, np.nan)), parse_length_m)
-        for columns, name in ((tags, "height"), (values, VARIANCE), (values, UPPER))
-    )
-    most_m = np.fmax(upper_m, height_m + MOST_OF_NORMAL * np.sqrt(np.fmax(variance, 0.0)))
-    estimated_to_m = np.full(num, None, object)
-    estimated_to_m[is_estimated] = np.nan_to_num(most_m)[is_estimated]
-    return {**tags, "estimated_to_m": estimated_to_m}
+    is_of_model = np.zeros(num, bool)
+    is_of_model[is_said] = [MODEL.search(str(word).strip()) is not None for word in words[is_said]]
+    names_model = MODEL.search(height_column) or re.search(DATA_SETS, file_name, re.IGNORECASE)
+    if names_model:
+        is_of_model |= ~is_said
+    return is_of_model
 
 
 def _origins(values: Mapping[str, np.ndarray]) -> Iterator[np.ndarray]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from decimal import Decimal
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -165,66 +166,84 @@ def estimate_heights(
     Returns:
       ``N`` outlines, and how many values could not be used, by kind.
     """
-    empty = np.full(len(polygons), None, object)
-    level_m = rules.level_height_m
+    given = _Given(tags, len(polygons), rules.level_height_m)
+    height_m = given.read("height", parse_height_m)
+    facade_m = given.levels_m("levels")
+    roof_m = given.levels_m("roof_levels")
+    has_roof = _is_usable(roof_m)
+    levels_m = facade_m + np.where(has_roof, roof_m, 0.0)
+    has_levels = _is_usable(levels_m) & (levels_m > 0)
+    has_height = _is_usable(height_m) & (height_m > 0)
+    least_m = np.minimum(facade_m * LEAST_LEVEL_M / rules.level_height_m, levels_m)
+    is_too_low = has_height & has_levels & (height_m < least_m)
+    is_kept = has_height & ~is_too_low
 
-    def read(name: str, parse: Callable[[str], float], unit_m: float = 1.0) -> np.ndarray:
-        """Return the values of a tag in metres."""
-        return read_column(tags.get(name, empty), parse) * unit_m
+    min_height_m = given.read("min_height", parse_length_m)
+    min_level_m = given.levels_m("min_level")
+    has_min, has_min_level = _is_usable(min_height_m), _is_usable(min_level_m)
 
-    def num_unusable(name: str, is_usable: np.ndarray) -> int:
-        """Return how often a tag holds something that is not usable."""
-        return num_of(is_given(tags.get(name, empty)) & ~is_usable)
-
-    height_m = read("height", parse_height_m)
-    levels_m = read("levels", parse_count, level_m)
-    roof_m = read("roof_levels", parse_count, level_m)
-    min_height_m = read("min_height", parse_length_m)
-    min_level_m = read("min_level", parse_count, level_m)
-
-    # What is usable. Comparisons with NaN are false: what could not be read is not.
-    has_roof, has_min, has_min_level = (
-        (value_m >= 0) & (value_m <= MAX_HEIGHT_M)
-        for value_m in (roof_m, min_height_m, min_level_m)
-    )
-    least_m = levels_m * LEAST_LEVEL_M / level_m
-    levels_m = levels_m + np.where(has_roof, roof_m, 0.0)
-    has_height, has_levels = (
-        (value_m > 0) & (value_m <= MAX_HEIGHT_M) for value_m in (height_m, levels_m)
-    )
-    is_too_low = has_height & has_levels & (height_m < np.minimum(least_m, levels_m))
-
-    num_levels = num_unusable("levels", has_levels) + num_unusable("roof_levels", has_roof)
-    num_min = num_unusable("min_height", has_min) + num_unusable("min_level", has_min_level)
-    issues = {
-        ReadIssue.HEIGHTS_UNUSABLE: num_unusable("height", has_height),
-        ReadIssue.HEIGHTS_BELOW_LEVELS: num_of(is_too_low),
-        ReadIssue.LEVELS_UNUSABLE: num_levels,
-        ReadIssue.MIN_HEIGHTS_UNUSABLE: num_min,
-    }
-
-    has_height &= ~is_too_low
-    has_rough = np.zeros(len(polygons), bool)
-    words = tags.get("height", empty)[has_height]
-    if words.dtype == object:
-        has_rough[has_height] = pd.Series(words).astype(str).str.contains(ROUGH)
     origins = {
         HeightOrigin.UNREADABLE: height_m > MAX_HEIGHT_M,
-        HeightOrigin.ESTIMATED: has_height
-        & _is_estimated(tags.get("estimated_to_m", empty), rules),
-        HeightOrigin.ROUGH: has_rough,
-        HeightOrigin.HEIGHT: has_height,
+        HeightOrigin.ESTIMATED: is_kept & _is_estimated(given.column("estimated_to_m"), rules),
+        HeightOrigin.ROUGH: is_kept & _is_rough(given.column("height")),
+        HeightOrigin.HEIGHT: is_kept,
         HeightOrigin.LEVELS: has_levels,
     }
     origin = np.select(list(origins.values()), list(origins), HeightOrigin.DEFAULT)
     heights = Footprints(
         polygons,
-        np.select([has_height, has_levels], [height_m, levels_m], rules.default_height_m or 0.0),
+        np.select([is_kept, has_levels], [height_m, levels_m], rules.default_height_m or 0.0),
         np.select([has_min, has_min_level], [min_height_m, min_level_m], 0.0),
         origin.astype(np.uint8),
         is_part,
     )
+    issues = {
+        ReadIssue.HEIGHTS_UNUSABLE: given.num_lost(height=has_height),
+        ReadIssue.HEIGHTS_BELOW_LEVELS: num_of(is_too_low),
+        ReadIssue.LEVELS_UNUSABLE: given.num_lost(levels=has_levels, roof_levels=has_roof),
+        ReadIssue.MIN_HEIGHTS_UNUSABLE: given.num_lost(min_height=has_min, min_level=has_min_level),
+    }
     return heights, issues
+
+
+class _Given(NamedTuple):
+    """What tags say of ``num`` outlines; a missing tag is an empty column."""
+
+    tags: Mapping[str, np.ndarray]
+    num: int
+    level_m: float
+
+    def column(self, name: str) -> np.ndarray:
+        """Return ``[N]`` a tag."""
+        return self.tags.get(name, np.full(self.num, None, object))
+
+    def read(self, name: str, parse: Callable[[str], float]) -> np.ndarray:
+        """Return ``[N]`` the numbers of a tag, NaN where it cannot be read."""
+        return read_column(self.column(name), parse)
+
+    def levels_m(self, name: str) -> np.ndarray:
+        """Return ``[N]`` the height of the levels that a tag counts, NaN where it cannot be read."""
+        return self.read(name, parse_count) * self.level_m
+
+    def num_lost(self, **is_usable: np.ndarray) -> int:
+        """Return how often tags hold something that is not usable, ``[N]`` bool by name."""
+        lost = [is_given(self.column(name)) & ~usable for name, usable in is_usable.items()]
+        return sum(map(num_of, lost))
+
+
+def _is_usable(value_m: np.ndarray) -> np.ndarray:
+    """Return whether heights can be those of something; NaN, of what could not be read, cannot."""
+    return (value_m >= 0) & (value_m <= MAX_HEIGHT_M)
+
+
+def _is_rough(column: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` whether a height is said to be a guess, such as ~30."""
+    if column.dtype != object:
+        return np.zeros(len(column), bool)
+    is_rough = np.zeros(len(column), bool)
+    is_filled = ~pd.isna(column)
+    is_rough[is_filled] = [ROUGH.search(str(value)) is not None for value in column[is_filled]]
+    return is_rough
 
 
 def _is_estimated(estimated_to_m: np.ndarray, rules: settings.Buildings) -> np.ndarray:

@@ -127,7 +127,21 @@ def sea(coast: np.ndarray, box: shapely.Polygon) -> shapely.Geometry:
     if not len(coast):
         return shapely.Polygon()
 
-    # Cut the box along the coast into faces, each of which is sea or land.
+    faces = _faces(coast, box)
+    start, end = _segments(coast)
+    wet_m, dry_m = _shores_m(faces, start, end)
+    if not (wet_m.any() or dry_m.any()):
+        return box if _is_at_sea(box.centroid, start, end) else shapely.Polygon()
+    if (np.minimum(wet_m, dry_m) > MIXED * np.maximum(wet_m, dry_m)).any():
+        warn(
+            "the coast lines have a gap: what lies beside it is taken for what most of its shore says, land or sea; "
+            "fetch an extract with complete ways, or name another file in [study] land_cover"
+        )
+    return shapely.union_all(faces[wet_m > dry_m])
+
+
+def _faces(coast: np.ndarray, box: shapely.Polygon) -> np.ndarray:
+    """Return the polygons into which coast lines cut a box, led on to its border where they nearly reach it."""
     whole = shapely.get_parts(shapely.line_merge(shapely.union_all(coast), directed=True))
     ends = shapely.get_parts(shapely.boundary(whole))  # rings have none
     is_near = shapely.distance(box.exterior, ends) < GAP_M
@@ -136,41 +150,46 @@ def sea(coast: np.ndarray, box: shapely.Polygon) -> shapely.Geometry:
     # With the box's border, so that `polygonize` sees one network.
     network = shapely.union_all([*shapely.intersection(whole, box), *bridges, box.exterior])
     faces = shapely.get_parts(shapely.polygonize([network]))
-    faces = faces[shapely.contains(box, shapely.point_on_surface(faces))]
+    return faces[shapely.contains(box, shapely.point_on_surface(faces))]
 
-    # The ends [N, 2] of the coast's straight segments. Those that have a length are kept, and `right` is the direction
-    # [N, 2] to their right.
+
+def _segments(coast: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends, ``[N, 2]`` each, of the straight segments of coast lines that have a length."""
     points, line = shapely.get_coordinates(coast, return_index=True)
     first = np.flatnonzero(line[:-1] == line[1:])
     start, end = points[first], points[first + 1]
-    is_long = (start != end).any(axis=1)
-    start = start[is_long]
-    end = end[is_long]
-    length_m = np.hypot(*(end - start).T)
-    right = (end - start)[:, ::-1] * [1, -1] / length_m[:, None]
+    has_length = (start != end).any(axis=1)
+    return start[has_length], end[has_length]
 
-    # How much of each face's shore has it on its right, the water's side, and on its left, the land's: a segment counts
-    # for the face that lies half a metre beside its middle.
+
+def _to_the_right(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return ``[N, 2]`` the direction to the right of each segment, the water's side, of length 1."""
+    east, north = (end - start).T
+    return np.column_stack([north, -east]) / np.hypot(east, north)[:, None]
+
+
+def _shores_m(
+    faces: np.ndarray, start: np.ndarray, end: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return how much shore ``F`` faces have on its water's side, and on its land's side, ``[F]`` each, in metres.
+
+    A segment counts for the face that lies half a metre beside its middle.
+    """
     tree = shapely.STRtree(faces)
-    shore_m = np.zeros((2, len(faces)))
-    for row, side in enumerate((1.0, -1.0)):
-        beside = shapely.points((start + end) / 2 + 0.5 * side * right)
-        point, face = tree.query(beside, predicate="within")
-        np.add.at(shore_m[row], face, length_m[point])
-    wet_m, dry_m = shore_m
+    length_m = np.hypot(*(end - start).T)
 
-    # Without coast in the box, the side of the nearest segment on which the middle of the box lies.
-    if not shore_m.any():
-        middle = box.centroid
-        lines = shapely.linestrings(np.stack([start, end], axis=1))
-        nearest = np.argmin(shapely.distance(lines, middle))
-        from_shore = shapely.get_coordinates(middle)[0] - start[nearest]
-        return box if right[nearest] @ from_shore > 0 else shapely.Polygon()
+    def shore_m(away_m: float) -> np.ndarray:
+        """Return the length of the segments that have each face so far to their right."""
+        beside = shapely.points((start + end) / 2 + away_m * _to_the_right(start, end))
+        segment, face = tree.query(beside, predicate="within")
+        return np.bincount(face, length_m[segment], len(faces))
 
-    # A face that has much shore of both kinds shows a gap in the lines.
-    if (np.minimum(wet_m, dry_m) > MIXED * np.maximum(wet_m, dry_m)).any():
-        warn(
-            "the coast lines have a gap: what lies beside it is taken for what most of its shore says, land or sea; "
-            "fetch an extract with complete ways, or name another file in [study] land_cover"
-        )
-    return shapely.union_all(faces[wet_m > dry_m])
+    return shore_m(0.5), shore_m(-0.5)
+
+
+def _is_at_sea(place: shapely.Point, start: np.ndarray, end: np.ndarray) -> bool:
+    """Return whether a place lies to the right of the nearest segment of a coast."""
+    lines = shapely.linestrings(np.stack([start, end], axis=1))
+    nearest = np.argmin(shapely.distance(lines, place))
+    from_shore = shapely.get_coordinates(place)[0] - start[nearest]
+    return bool(_to_the_right(start, end)[nearest] @ from_shore > 0)

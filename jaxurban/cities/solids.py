@@ -68,26 +68,31 @@ def prisms_of_solids(features: Outlines) -> pd.DataFrame:
       vertex of the outline lies above the lowest of all, 0 without heights. Prisms of a solid may overlap.
     """
     outlines = features.polygons
-    num_roofs = features.tags.get("num_roofs")
     axis = known_crs(features.crs).axis_info[-1]
     unit_m = 1.0 if axis.unit_name == "degree" else axis.unit_conversion_factor
     has_z = shapely.has_z(outlines)
-    rise_m = np.zeros(len(outlines))
-    if has_z.any():
-        vertices, index = shapely.get_coordinates(outlines, include_z=True, return_index=True)
-        height_m = np.nan_to_num(vertices[:, 2]) * unit_m
-        np.maximum.at(rise_m, index, height_m - height_m.min(initial=np.inf))
-
+    rise_m = _rises_m(outlines, unit_m) if has_z.any() else np.zeros(len(outlines))
     may_be = has_z & (shapely.get_num_geometries(outlines) > 1)
     if not may_be.any():
         plain = {"feature": np.arange(len(outlines)), "height_m": math.nan, "polygon": outlines}
         return pd.DataFrame({**plain, "rise_m": rise_m})
+    num_roofs = features.tags.get("num_roofs", np.zeros(len(outlines), int))
     rows: list[tuple] = []
     for feature, outline in enumerate(outlines):
-        roofs = 0 if num_roofs is None else num_roofs[feature]
-        prisms = _prisms(outline, unit_m, roofs) if may_be[feature] else {math.nan: outline}
+        prisms = {math.nan: outline}
+        if may_be[feature]:
+            prisms = _prisms(outline, unit_m, num_roofs[feature])
         rows += [(feature, *prism, rise_m[feature]) for prism in prisms.items()]
     return pd.DataFrame(rows, columns=["feature", "height_m", "polygon", "rise_m"])
+
+
+def _rises_m(outlines: np.ndarray, unit_m: float) -> np.ndarray:
+    """Return ``[N]`` how far the highest vertex of each outline lies above the lowest of all."""
+    vertices, outline = shapely.get_coordinates(outlines, include_z=True, return_index=True)
+    height_m = np.nan_to_num(vertices[:, 2]) * unit_m
+    rise_m = np.zeros(len(outlines))
+    np.maximum.at(rise_m, outline, height_m - height_m.min(initial=np.inf))
+    return rise_m
 
 
 def _prisms(

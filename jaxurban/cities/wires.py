@@ -52,17 +52,17 @@ def with_supports(structures: Footprints, shapes: np.ndarray) -> Footprints:
     ends = shapely.points(shapely.get_coordinates(shapes[is_span]))
     end, support = shapely.STRtree(shapes[is_support]).query_nearest(ends, max_distance=SUPPORT_M)
 
-    # By end, then the higher of both ends of a span, which is unsure if either is.
-    higher = {}
-    for name in ("height_m", "upper_m", "is_guessed"):
+    def at_higher_end(name: str) -> np.ndarray:
+        """Return of each span a column of the higher of its supports, or its own; it is unsure if either end is."""
         by_end = np.repeat(getattr(structures, name)[is_span], 2)
         by_end[end] = getattr(supports, name)[support]
-        higher[name] = by_end.reshape(-1, 2).max(axis=1)
-    is_unsure = higher["is_guessed"]
-    is_long = shapely.length(shapes[is_span]) > LONG_SPAN_M
+        return by_end.reshape(-1, 2).max(axis=1)
 
-    columns = {name: getattr(structures, name).copy() for name in ("height_m", "limit_m", "origin")}
-    columns["height_m"][is_span] = higher["height_m"]
-    columns["limit_m"][is_span] = np.where(is_unsure & is_long, np.inf, higher["upper_m"])
-    columns["origin"][is_span] = np.where(is_unsure, HeightOrigin.DEFAULT, HeightOrigin.HEIGHT)
-    return replace(structures, **columns)
+    is_unsure = at_higher_end("is_guessed")
+    is_long = shapely.length(shapes[is_span]) > LONG_SPAN_M
+    height_m, limit_m = structures.height_m.copy(), structures.limit_m.copy()
+    origin = structures.origin.copy()
+    height_m[is_span] = at_higher_end("height_m")
+    limit_m[is_span] = np.where(is_unsure & is_long, np.inf, at_higher_end("upper_m"))
+    origin[is_span] = np.where(is_unsure, HeightOrigin.DEFAULT, HeightOrigin.HEIGHT)
+    return replace(structures, height_m=height_m, limit_m=limit_m, origin=origin)
