@@ -119,9 +119,11 @@ def _looked_at(above: Path, num_own: int, name: str) -> Path:
     kept = [*folder.rglob("*")]
     for place in kept:
         refuse_unsafe(above, place.lstat())
+    # Numba writes by the umask, which may let others in: they do not get into a folder that is closed while empty, and
+    # in one with such a list, if the disk knows lists, what it writes is closed too.
     if not kept:
+        folder.chmod(0o700)
         sweep_unused(above)
-    # Numba writes by the umask, which may let others in; not so in a folder with such a list, if the disk knows lists.
     with suppress(AttributeError, OSError):
         os.setxattr(folder, "system.posix_acl_default", ONLY_OURS)
     return folder

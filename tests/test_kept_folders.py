@@ -1,6 +1,7 @@
 """Which folders of compiled programs are used: nobody but this user and root could have written what is loaded."""
 
 import os
+import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -203,6 +204,23 @@ def test_a_link_that_is_called_like_a_folder_of_numba_is_not_followed_in_sweepin
     with or_compile():
         sweep_unused(file.parent)
     assert (mine / "work").exists()
+
+
+def test_what_cannot_be_swept_stays_and_the_rest_is_swept(file, monkeypatch):
+    names = "numba-0123456789abcdef", "numba-0123456789abcde0"
+    for name in names:
+        file.with_name(name).mkdir()
+        os.utime(file.with_name(name), (0, 0))
+    remove = shutil.rmtree
+
+    def of_another(place: object) -> None:
+        if str(place).endswith("f"):
+            raise PermissionError(place)
+        remove(place)
+
+    monkeypatch.setattr(shutil, "rmtree", of_another)
+    sweep_unused(file.parent)
+    assert [file.with_name(name).exists() for name in names] == [True, False]
 
 
 class WindowsOs:

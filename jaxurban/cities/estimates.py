@@ -68,7 +68,8 @@ def with_estimates(
     variance_m2 = read_column(values.get(VARIANCE, missing), parse_length_m)
     spread_m = np.sqrt(np.fmax(variance_m2, 0.0))
     most_m = np.fmax(upper_m, height_m + MOST_OF_NORMAL * spread_m)
-    estimated_to_m = np.where(is_estimated, np.nan_to_num(most_m).astype(object), None)
+    estimated_to_m = np.full(len(is_estimated), None, object)
+    estimated_to_m[is_estimated] = np.nan_to_num(most_m)[is_estimated]
     return {**tags, "estimated_to_m": estimated_to_m}
 
 

@@ -60,6 +60,7 @@ def with_supports(structures: Footprints, shapes: np.ndarray) -> Footprints:
 
     is_unsure = at_higher_end("is_guessed")
     is_long = shapely.length(shapes[is_span]) > LONG_SPAN_M
+    assert structures.limit_m is not None
     height_m, limit_m = structures.height_m.copy(), structures.limit_m.copy()
     origin = structures.origin.copy()
     height_m[is_span] = at_higher_end("height_m")

@@ -333,7 +333,7 @@ def _is_wider(facts: Json, shape: shapely.Geometry, is_lonlat: bool) -> bool:
     x, y = shapely.get_coordinates(shape).T
     if is_lonlat:
         centre = shapely.centroid(shape)
-        _, _, away_m = GEOD.inv(*np.broadcast_arrays(centre.x, centre.y, x, y))
+        _, _, away_m = GEOD.inv(np.full_like(x, centre.x), np.full_like(y, centre.y), x, y)
     else:
         away_m = shapely.distance(shapely.centroid(shape), shapely.points(x, y))
     drawn_m = np.max(away_m)
@@ -527,7 +527,7 @@ def _limits(layer: Json, label: str, remarks: Remarks) -> tuple[float, float]:
       InputError: a limit above ground that is not a number.
     """
     units = _words(layer, "uomDimensions", "uom")
-    unit_m = METRES.get(*units) if len(units) == 1 else None
+    unit_m = METRES.get(units.pop()) if len(units) == 1 else None
     limits_m = {"lower": -math.inf, "upper": math.inf}
     for end in limits_m:
         keys = [key for key in (f"{end}Limit", end) if layer.get(key) is not None]

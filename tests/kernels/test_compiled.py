@@ -155,6 +155,16 @@ def test_what_one_session_compiles_a_later_one_loads_from_the_users_cache_whatev
 
 
 @on_posix
+def test_an_empty_folder_that_others_may_enter_is_closed_before_numba_writes(home):
+    num_loaded()
+    (inner,) = {file.parent for file in index_files(home)}
+    shutil.rmtree(inner)
+    inner.parent.chmod(0o755)
+    assert num_loaded() == 0
+    assert inner.parent.stat().st_mode & 0o077 == 0
+
+
+@on_posix
 @pytest.mark.slow
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_no_index_that_another_user_could_have_written_is_read_and_that_is_said_once(
