@@ -82,8 +82,8 @@ class GuessKind(Enum):
     )
     COARSE_SOLIDS = (
         "{number:,} buildings as high as their coarser solids",
-        "the finest solids of {number:,} buildings are more than 3 m lower than coarser ones of the same buildings, so "
-        "the higher ones stand: mend the wrong ones",
+        "the finest solids of {number:,} buildings are more than 3 m lower than coarser ones, or than the heights that "
+        "the file gives, so the higher ones stand: mend the wrong ones",
     )
     NODATA_ZERO = (
         "{share} of heights by the nodata value 0",

@@ -14,6 +14,7 @@ import shapely
 from jaxurban.cities.estimates import with_estimates
 from jaxurban.cities.heights import parse_height_m
 from jaxurban.cities.outlines import Outlines
+from jaxurban.cities.solids import DIFFER_M
 from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue, num_of
 from jaxurban.world.grid import WGS84, area_of, check_on_earth, known_crs, transformer
@@ -35,7 +36,6 @@ TAGS: dict[str, dict[str, Any]] = {  # of OpenStreetMap, by kind
     "SolitaryVegetationObject": {"natural": "tree"},
 }
 NO_LEVEL = -1.0  # of detail
-DIFFER_M = 3.0  # a solid that is so much higher than a finer one counts in its place
 MARGIN_DEG = 1.0  # around the area of use of a CRS
 LOST_M = 1e9  # in place of what is no number: no reader takes it for a height
 CRS_NAMES = {  # of German and Swiss surveys, and those with a code of EPSG

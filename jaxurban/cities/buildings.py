@@ -9,10 +9,15 @@ import pandas as pd
 import shapely
 
 from jaxurban import settings
-from jaxurban.cities.heights import estimate_heights, with_decks
+from jaxurban.cities.heights import (
+    estimate_heights,
+    parse_length_m,
+    read_column,
+    with_decks,
+)
 from jaxurban.cities.kinds import ABOVE_LEVELS_M, LEVEL_LIMIT_M, LIMIT_M, LOW_BUILDINGS, ROUGH_LIMIT
 from jaxurban.cities.outlines import Outlines
-from jaxurban.cities.solids import prisms_of_solids
+from jaxurban.cities.solids import DIFFER_M, prisms_of_solids
 from jaxurban.cities.stands import is_water, what_stands
 from jaxurban.cities.structures import lengths_m, limits_by_name_m, to_structures
 from jaxurban.errors import InputError
@@ -27,7 +32,7 @@ from jaxurban.io.learned import (
     learned_from,
     of_classes,
 )
-from jaxurban.settings import SLABS
+from jaxurban.settings import MAX_HEIGHT_M, SLABS
 from jaxurban.world.extent import polygonal
 from jaxurban.world.footprints import BUILDING, Footprints, HeightOrigin
 from jaxurban.world.grid import Bounds, transformer
@@ -123,7 +128,8 @@ def _in_city(
 ) -> tuple[Outlines, np.ndarray, ReadIssues]:
     """Return what stands in the city's CRS, which are buildings, ``[N]`` bool, and what was left out or repaired.
 
-    Of solids the height counts in place of what the file says of it. Walls alone, whose height is 0, close nothing.
+    Of solids the height counts in place of what the file says of it, unless that is more than `DIFFER_M` higher than
+    the whole solid. Walls alone, whose height is 0, close nothing.
 
     Args:
       outlines: from a reader.
@@ -134,12 +140,18 @@ def _in_city(
     prisms, of_shapes = _project(prisms_of_solids(features), outlines.crs, crs)
     features = features.take(prisms["feature"].to_numpy(int))
     height_m = prisms["height_m"].to_numpy(float)
-    height = np.where(np.isnan(height_m), features.column("height"), height_m)
+    stated_m = read_column(features.column("height"), parse_length_m)
+    top_m = prisms.groupby("feature")["height_m"].transform("max").to_numpy()
+    is_lower = (stated_m > top_m + DIFFER_M) & (stated_m <= MAX_HEIGHT_M)
+    height = np.where(np.isnan(height_m) | is_lower, features.column("height"), height_m)
     tags = {**features.tags, "height": height, "rise_m": prisms["rise_m"].to_numpy(float)}
     is_building = (tags["verdict"] == BUILDING) & prisms["is_whole"].to_numpy() & (height_m != 0)
-    num_solids = prisms["feature"][is_building & (height_m > 0)].nunique()
     features = replace(features, polygons=prisms["polygon"].to_numpy(), tags=tags)
-    return features, is_building, {**left_out, **of_shapes, ReadIssue.SOLIDS: num_solids}
+    of_solids = {
+        ReadIssue.SOLIDS: prisms["feature"][is_building & (height_m > 0)].nunique(),
+        ReadIssue.SOLIDS_COARSE: prisms["feature"][is_building & is_lower].nunique(),
+    }
+    return features, is_building, {**left_out, **of_shapes, **of_solids}
 
 
 def _buildings(

@@ -15,6 +15,7 @@ from jaxurban.world.grid import known_crs
 
 RELIEF_M = 0.5  # a body is higher; what of it is not is its ground
 STEP_M = 0.1  # roofs of one body between two multiples of it are one prism
+DIFFER_M = 3.0  # what the same file says to be so much higher than a solid counts in its place
 MIN_WALLS = 3  # of a body whose faces do not lie above each other
 # Faces lie above each other if together they are so many times the area that they cover.
 COVERED_TWICE = 1.5

@@ -29,7 +29,8 @@ class ReadIssue(StrEnum):
       PARTS_HANGING: underside above the ground.
       MIN_HEIGHTS_ABOVE_ROOF: underside at or above the roof, set to 0.
       SOLIDS: buildings of three dimensions, read as the prisms of their faces.
-      SOLIDS_COARSE: of a lower level of detail, as they are more than 3 m higher than those of a higher level.
+      SOLIDS_COARSE: of a lower level of detail, or of the height that the file gives, as these are more than 3 m higher
+        than those of a higher level.
       HEIGHTS_UNUSABLE: unreadable, 0, negative or too high.
       LEVELS_UNUSABLE: the same of levels.
       MIN_HEIGHTS_UNUSABLE: the same of the heights of undersides.

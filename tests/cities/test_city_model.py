@@ -255,6 +255,19 @@ def test_a_coarser_solid_that_is_higher_counts_and_is_said(tmp_path, content, he
     assert sum("more than 3 m lower" in str(each.message) for each in caught) == num_coarse
 
 
+@pytest.mark.parametrize(
+    ("measured_m", "height_m", "num_coarse"),
+    [(30, 30, 1), (15, 12, 0), (3, 12, 0), (-9999, 12, 0), (5000, 12, 0)],
+)
+def test_a_measured_height_that_is_higher_than_the_solid_counts_and_is_said(
+    tmp_path, measured_m, height_m, num_coarse
+):
+    path = written(tmp_path / "a.gml", citygml(thing(drawn(12), measuredHeight=measured_m)))
+    buildings, _, counts = stand(path)
+    assert buildings.height_m.tolist() == [height_m]
+    assert counts.get("solids_coarse", 0) == num_coarse
+
+
 def test_of_the_levels_of_cityjson_the_higher_counts(tmp_path):
     document = cityjson({"house": ({}, block(0, 0, 10, 12, 0, 3))})
     coarse = cityjson({"house": ({}, block(0, 0, 10, 12, 0, 30))})

@@ -250,12 +250,14 @@ def test_walls_alone_enclose_what_is_unknown(tmp_path):
     assert unknown.polygons[0].covers(HOUSE)
 
 
-def test_a_body_counts_more_than_its_columns(tmp_path):
-    blocks = [shapely.MultiPolygon(BLOCK)] * 4
-    path = write_vector(tmp_path / "columns.gpkg", blocks, height=["80", "65", None, "high"])
+def test_a_body_counts_more_than_its_columns_unless_they_are_much_higher(tmp_path):
+    blocks = [shapely.MultiPolygon(BLOCK)] * 5
+    heights = ["80", "62.5", "20", None, "high"]
+    path = write_vector(tmp_path / "columns.gpkg", blocks, height=heights)
     buildings, issues = stand(path)
-    assert set(buildings.height_m) == {60}
-    assert issues == {"solids": 4}
+    assert sorted({*buildings.height_m}) == [60, 80]
+    assert (buildings.height_m == 80).sum() * 5 == len(buildings)
+    assert issues == {"solids": 5, "solids_coarse": 1}
 
 
 def test_heights_of_bodies_are_in_the_unit_of_the_file(tmp_path):
