@@ -97,22 +97,20 @@ class CityObject:
 
 
 def bodies_of(objects: Iterable[CityObject]) -> Iterator[dict[str, Any]]:
-    """Yield the bodies of objects, each with its pieces.
+    """Yield the bodies of objects, each with its pieces (see `_bodies`).
 
-    Yields:
-      Of each ``polygon``, all faces, roofs first, as a MultiPolygon with heights, empty without a face; ``num_roofs``,
-      how many are roofs by their labels or have none, 0 where all are; and tags as of `Outlines`. The height of kinds
-      that `TAGS` lacks is how far they rise. An object of which something is not read is a line through its vertices
-      as well, which is a building of unknown extent.
+    Args:
+      objects: wholes before their pieces, as what came with a whole is not drawn again.
     """
     seen = set()
     for whole in objects:
-        if whole not in seen:
-            members = [whole]
-            for one in members:
-                seen.add(one)
-                members += [piece for piece in one.pieces if piece not in seen]
-            yield from _bodies(members)
+        if whole in seen:
+            continue
+        members = [whole]
+        for member in members:  # which grow by the pieces of each
+            seen.add(member)
+            members += [piece for piece in member.pieces if piece not in seen]
+        yield from _bodies(members)
 
 
 def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
@@ -120,6 +118,12 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
 
     Args:
       members: the object, then its pieces, each after what it belongs to.
+
+    Yields:
+      Of each ``polygon``, all faces, roofs first, as a MultiPolygon with heights, empty without a face; ``num_roofs``,
+      how many are roofs by their labels or have none, 0 where all are; and tags as of `Outlines`. The height of kinds
+      that `TAGS` lacks is how far they rise. An object of which something is not read is a line through its vertices
+      as well, which is a building of unknown extent.
     """
     kind = PIECE.sub(r"\1", members[0].kind)
     tags = TAGS.get(kind, {})
@@ -127,19 +131,8 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
     faces = [face for face in best if face.label != UNREAD]
     faces.sort(key=lambda face: face.label not in ROOFS)
     num_roofs = sum(face.label in ROOFS for face in faces)
-
-    # The faces as one MultiPolygon, at once; of a coordinate that is no number the place or the height is lost.
-    polygon = shapely.MultiPolygon()
-    if faces:
-        rings = [ring for face in faces for ring in face.rings]
-        vertices = np.concatenate(rings)
-        vertices = np.where(np.isfinite(vertices), vertices, LOST_M)
-        borders = shapely.linearrings(vertices, indices=_numbered(map(len, rings)))  # closed
-        numbers = _numbered(len(face.rings) for face in faces)
-        polygon = shapely.multipolygons(shapely.polygons(borders, indices=numbers))
-
     body = {
-        "polygon": polygon,
+        "polygon": _multipolygon(faces),
         "num_roofs": num_roofs if num_roofs < len(faces) else 0,
         "building": None,
         "height": max(
@@ -152,15 +145,30 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
         "is_coarse": is_coarse,
     }
     if len(faces) < len(best):
-        corners = np.concatenate([ring for face in best for ring in face.rings])
-        corners = np.where(np.isfinite(corners), corners, LOST_M)
+        corners = _vertices(best)
         line = shapely.LineString([*corners, corners[0]])
         yield body | {"polygon": line, "building": "yes"} | tags
     if not tags:
         has_level = any(face.lod > 0 for face in faces)  # in plan alone nothing has a height
-        body["height"] = np.ptp(vertices[:, 2]) if has_level else LOST_M
+        body["height"] = np.ptp(_vertices(faces)[:, 2]) if has_level else LOST_M
     if faces or not (best or kind in GROUPS):
         yield body | tags
+
+
+def _multipolygon(faces: list[Face]) -> shapely.MultiPolygon:
+    """Return faces as one MultiPolygon, made at once; an empty one of no face."""
+    if not faces:
+        return shapely.MultiPolygon()
+    rings = [ring for face in faces for ring in face.rings]
+    borders = shapely.linearrings(_vertices(faces), indices=_numbered(map(len, rings)))  # closed
+    numbers = _numbered(len(face.rings) for face in faces)
+    return shapely.multipolygons(shapely.polygons(borders, indices=numbers))
+
+
+def _vertices(faces: list[Face]) -> np.ndarray:
+    """Return the vertices of faces ``[V, 3]``, `LOST_M` for what is no number: the place or the height is lost."""
+    vertices = np.concatenate([ring for face in faces for ring in face.rings])
+    return np.where(np.isfinite(vertices), vertices, LOST_M)
 
 
 def _numbered(sizes: Iterable[int]) -> np.ndarray:

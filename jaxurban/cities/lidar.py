@@ -97,7 +97,13 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
         unit of heights that is not known.
     """
     name = repr(str(path))
-    laspy, lazrs = _lidar_libraries(name)
+    try:
+        import laspy
+        import lazrs
+    except ImportError as error:
+        raise InputError(
+            f"{name} holds lidar points: install what reads them with `pip install 'jaxurban[lidar]'`"
+        ) from error
     used = laspy.DecompressionSelection(USED)
     with (
         readable(path, "lidar points", "fetch it again"),
@@ -140,32 +146,19 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
     )
 
 
-def _lidar_libraries(name: str) -> tuple[Any, Any]:
-    """Return laspy and lazrs; InputError where one is missing, of which ``name`` is the file."""
-    try:
-        import laspy
-        import lazrs
-    except ImportError as error:
-        raise InputError(
-            f"{name} holds lidar points: install what reads them with `pip install 'jaxurban[lidar]'`"
-        ) from error
-    return laspy, lazrs
-
-
 class _Cells(NamedTuple):
     """The square cells over the box of a file's points, rows from the south.
 
     Attributes:
       left, low: their southwest corner, in the CRS of the points.
       side: of a cell, in the same unit.
-      num_rows, num_cols: of them.
+      shape: numbers of rows and columns.
     """
 
     left: float
     low: float
     side: float
-    num_rows: int
-    num_cols: int
+    shape: tuple[int, int]
 
 
 def _cells_over(name: str, header: Any, crs: CRS) -> _Cells:
@@ -186,8 +179,8 @@ def _cells_over(name: str, header: Any, crs: CRS) -> _Cells:
     if header.point_count == 0 or area <= 0:
         raise ValueError("it has no points, or a box without area")
     side = math.sqrt(area * max(POINTS_A_CELL / header.point_count, 1 / MOST_CELLS))
-    num_cols, num_rows = (int(length / side) + 2 for length in (x_max - x_min, y_max - y_min))
-    return _Cells(x_min - side / 2, y_min - side / 2, side, num_rows, num_cols)
+    shape = int((y_max - y_min) / side) + 2, int((x_max - x_min) / side) + 2
+    return _Cells(x_min - side / 2, y_min - side / 2, side, shape)
 
 
 def _heights_by_layer(reader: Any, cells: _Cells, unit_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -204,16 +197,16 @@ def _heights_by_layer(reader: Any, cells: _Cells, unit_m: float) -> tuple[np.nda
     Raises:
       ValueError: a point lies outside the cells.
     """
-    counts = np.zeros(LAYER_OF.size, int)
-    shape = NOISE + 1, cells.num_rows, cells.num_cols
+    counts = np.zeros(256, int)
+    shape = NOISE + 1, *cells.shape
     layers = np.full(shape, np.nan, np.float32)
     for points in reader.chunk_iterator(CHUNK):
         classes = np.where(points.withheld, NOISE_CLASS, points.classification)
-        counts += np.bincount(classes, minlength=counts.size)
+        counts += np.bincount(classes, minlength=256)
         layer = LAYER_OF[classes]
         col = ((points.x - cells.left) / cells.side).astype(int)
         row = ((points.y - cells.low) / cells.side).astype(int)
-        cell = np.ravel_multi_index((layer, row, col), shape, mode="raise")
+        cell = np.ravel_multi_index((layer, row, col), shape)  # ValueError outside
         # The lowest of the ground is the highest upside down.
         height_m = points.z * unit_m * np.where(layer == GROUND, -1, 1)
         np.fmax.at(layers.reshape(-1), cell, np.float32(height_m))

@@ -151,20 +151,18 @@ class _PlainObjects:
 
     def add(self, kind: str, ref: Any, about: Element) -> None:
         """Add an object with all that it holds, unless there is one that says more."""
-        item = self._built(kind, about)
+        item: Any
+        if kind == "node":
+            item = Node(location=(float(about["lon"]), float(about["lat"])))
+        elif kind == "way":
+            item = Way(nodes=self._node_ids(about))
+        else:
+            item = Relation(members=self._members(about))
         item.id = self.id_of(kind, ref)
         item.tags = about.get("tags")
         key = OBJECTS.index(kind), item.id
         if item.tags or key not in self.by_key:
             self.by_key[key] = item
-
-    def _built(self, kind: str, about: Element) -> Any:
-        """Return a node, way or relation without id and tags; what it holds with a place is added."""
-        if kind == "node":
-            return Node(location=(float(about["lon"]), float(about["lat"])))
-        if kind == "way":
-            return Way(nodes=self._node_ids(about))
-        return Relation(members=self._members(about))
 
     def _node_ids(self, way: Element) -> list[int]:
         """Return the ids of a way's nodes, of which those with a place are added."""

@@ -68,7 +68,17 @@ def read_tiles(
         raise InputError(
             f"{str(path)!r} holds no object of CityGML or CityJSON and no outlines: name the file of buildings"
         )
-    _warn_of_others(path, kinds)
+
+    # What is beside them, but for the companions of Shapefiles.
+    stems = {Path(name).stem for name, kind in kinds.items() if kind == ".shp"}
+    read = (*READERS, *VECTOR_SUFFIXES)
+    others = [name for name in kinds if kinds[name] not in read and Path(name).stem not in stems]
+    if others:
+        warn(
+            f"{len(others)} files in {str(path)!r}, such as {others[0]!r}, hold no city model and no outlines, and are "
+            "left out",
+            GuessWarning,
+        )
     return joined_outlines(path, tables)
 
 
@@ -113,24 +123,6 @@ def _read_model(name: str, tile: Path, kind: str, crs_names: set[str]) -> list[d
                 return list(READERS[kind](plain, crs_names))
         except InputError as error:
             raise InputError(f"{name!r} {error}") from error
-
-
-def _warn_of_others(path: Path, kinds: dict[str, str]) -> None:
-    """Warn of files that are not read, but for the companions of Shapefiles.
-
-    Args:
-      path: what holds them.
-      kinds: what each file is, by its name.
-    """
-    stems = {Path(name).stem for name, kind in kinds.items() if kind == ".shp"}
-    read = (*READERS, *VECTOR_SUFFIXES)
-    others = [name for name in kinds if kinds[name] not in read and Path(name).stem not in stems]
-    if others:
-        warn(
-            f"{len(others)} files in {str(path)!r}, such as {others[0]!r}, hold no city model and no outlines, and are "
-            "left out",
-            GuessWarning,
-        )
 
 
 def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[str, Path]]:

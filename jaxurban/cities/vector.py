@@ -163,7 +163,7 @@ def _alone() -> Iterator[None]:
 def _every_layer(path: Path, kind: str) -> list[pd.DataFrame]:
     """Return the features of each layer of a file, unpacked, of a format; a ring of too few points is an error."""
     source = (DRIVERS | {".geojson": "GeoJSON:"}).get(kind, "") + str(path)
-    options = _options(kind) | {"on_invalid": "raise"}
+    options = OPTIONS | {"on_invalid": "raise"} | (CSV_OPTIONS if kind == ".csv" else {})
     return [_features(source, layer, options) for layer, _ in pyogrio.list_layers(source)]
 
 
@@ -183,7 +183,7 @@ def _polygon_layers(
     lacks_solids = role == BUILDINGS and isinstance(source, str)  # a stream brings them
     frames = []
     for layer in _layers_of(source, name, role):
-        options = _options(kind)
+        options = OPTIONS | (CSV_OPTIONS if kind == ".csv" else {})
         if near is not None:
             options |= _only_near(source, layer, near, named)
         frame = _features(source, layer, options)
@@ -196,11 +196,6 @@ def _polygon_layers(
     if len(frames) == 1 or not filled:
         return frames[0]
     return pd.concat(filled, ignore_index=True)
-
-
-def _options(kind: str) -> dict[str, Any]:
-    """Return the options by which pyogrio reads a file of a format."""
-    return OPTIONS | (CSV_OPTIONS if kind == ".csv" else {})
 
 
 def _features(source: str | bytes, layer: str | None, options: Mapping[str, Any]) -> pd.DataFrame:
@@ -401,8 +396,7 @@ def _place(name: str, frame: gpd.GeoDataFrame, kind: str, crs: str | None) -> No
     """
     if crs is not None:
         frame.set_crs(crs, allow_override=True, inplace=True)
-    could_say = frame.attrs.get(SAYS_CRS, kind != ".csv")
-    if frame.crs is None and not could_say:
+    if frame.crs is None and not frame.attrs.get(SAYS_CRS, kind != ".csv"):
         frame.set_crs(WGS84, inplace=True)
         warn(
             f"{name} cannot say its CRS: its coordinates are taken for longitude and latitude (EPSG:4326); convert "
