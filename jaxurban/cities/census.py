@@ -260,15 +260,16 @@ def clean_polygons(
       crs: projected CRS in metres.
       bounds_m: keep only what touches this box of ``crs``, and count only what is near it; left out, all.
     """
+    near = frame
     if bounds_m is not None:
         assert frame.crs is not None
         to_file = transformer(crs, frame.crs.to_wkt())
         x_min, y_min, x_max, y_max = to_file.transform_bounds(*bounds_m, densify_pts=21)
-        frame = frame.cx[x_min:x_max, y_min:y_max]
-    frame = frame.to_crs(projected_crs(crs))
+        near = frame.cx[x_min:x_max, y_min:y_max]
+    projected = near.to_crs(projected_crs(crs))
 
     # Repair what is invalid, and leave out what has no area then.
-    polygons = frame.geometry.to_numpy().copy()
+    polygons = projected.geometry.to_numpy().copy()
     is_invalid = ~shapely.is_valid(polygons) & ~shapely.is_missing(polygons)
     polygons[is_invalid] = shapely.make_valid(polygons[is_invalid], method="structure")
     polygons = without_collections(polygons)
@@ -278,8 +279,8 @@ def clean_polygons(
     num_invalid = num_of(is_invalid)
     if bounds_m is not None:
         is_kept &= shapely.intersects(polygons, shapely.box(*bounds_m))
-    frame = frame.set_geometry(polygons, crs=frame.crs)
-    return frame[is_kept], num_lost, num_invalid
+    repaired = projected.set_geometry(polygons, crs=projected.crs)
+    return repaired[is_kept], num_lost, num_invalid
 
 
 def _ids(column: pd.Series) -> pd.Series:
@@ -413,8 +414,9 @@ def read_districts(
             f"districts {str(path)!r} has the label {frame[field][is_unusable].iloc[0]} in field {field!r}: "
             "labels must be whole numbers (set [population] district_field to the field that holds them)"
         )
-    frame, _, num_invalid = clean_polygons(frame.assign(**{field: labels.astype(np.int32)}), crs)
-    return frame.geometry.to_numpy(), frame[field].to_numpy(), num_invalid
+    labelled = frame.assign(**{field: labels.astype(np.int32)})
+    districts, _, num_invalid = clean_polygons(labelled, crs)
+    return districts.geometry.to_numpy(), districts[field].to_numpy(), num_invalid
 
 
 def largest_overlap(polygons: np.ndarray, districts: np.ndarray, labels: np.ndarray) -> np.ndarray:

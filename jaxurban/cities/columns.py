@@ -244,13 +244,13 @@ def _filled(column: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _opened(values: Columns) -> Columns:
     """Return columns by plain name, with the tags of `NESTED` where no column of their own says them."""
+    opened = dict(values)
     for name in set(NESTED).intersection(values):
-        inner = pd.DataFrame([_inner_tags(str(text)) for text in values[name]], dtype=object)
-        values = dict(values)
+        inner = pd.DataFrame([_inner_tags(str(text)) for text in opened[name]], dtype=object)
         for tag in map(str, inner):
-            own = inner[tag].to_numpy()
-            values[tag] = _filled(values.get(tag, own), own)
-    return values
+            nested = inner[tag].to_numpy()
+            opened[tag] = _filled(opened.get(tag, nested), nested)
+    return opened
 
 
 def _inner_tags(text: str) -> dict[str, Any]:

@@ -460,13 +460,10 @@ def _raised_share(raster: Raster, crs: str) -> float:
     samples = blocks[..., :: -(-height // SAMPLES_A_SIDE), :: -(-width // SAMPLES_A_SIDE)]
 
     # A block a row, its samples sorted with NaN last.
-    values = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)
-    num_finite = np.isfinite(values).sum(axis=1)
-    is_known = num_finite >= values.shape[1] / 4
-    values = values[is_known]
-    num_finite = num_finite[is_known]
-    block = np.arange(len(values))
-    low_m = values[block, (LOW_SHARE * num_finite).astype(int)]
-    high_m = values[block, num_finite - 1]
+    by_block = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)
+    num_finite = np.isfinite(by_block).sum(axis=1)
+    known = np.flatnonzero(num_finite >= by_block.shape[1] / 4)
+    low_m = by_block[known, (LOW_SHARE * num_finite[known]).astype(int)]
+    high_m = by_block[known, num_finite[known] - 1]
     level_m = low_m[high_m - low_m >= RELIEF_M]
     return float(np.mean(np.abs(level_m) > GROUND_M)) if len(level_m) else 0.0

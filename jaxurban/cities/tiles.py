@@ -157,14 +157,14 @@ def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[s
             scratch_folder() as folder,
             zipfile.ZipFile(path) as archive,
         ):
-            room = min(room, most_unpacked(path))
-            room -= sum(each.file_size + MEMBER_BYTES for each in archive.infolist())
-            if room < 0:
+            num_bytes = sum(member.file_size + MEMBER_BYTES for member in archive.infolist())
+            rest_of_room = min(room, most_unpacked(path)) - num_bytes
+            if rest_of_room < 0:
                 raise ValueError(
                     f"it unpacks to more than {MOST_TIMES} times its size or {MOST_UNPACKED / 2**30:g} GiB, with "
                     f"{MEMBER_BYTES >> 10} kB for each of its {len(archive.infolist()):,} files"
                 )
             archive.extractall(folder)
-            yield from _files(folder, name, room)
+            yield from _files(folder, name, rest_of_room)
     else:
         yield name, path

@@ -503,7 +503,7 @@ def read_vector(
     """
     named = [] if file is None else named_columns(file)
     (frame,) = _read(path, BUILDINGS, near=near, named=named, crs=crs)
-    facts = frame.attrs  # empty of files that are not ours
+    facts = frame.attrs  # empty of files that are not ours; joined frames lose them
     if beside is not None:
         frame = pd.concat([frame, *_read(beside, BUILDINGS)], ignore_index=True)
     box = None if near is None else near.box_in(frame.crs.to_wkt())
