@@ -180,8 +180,9 @@ def _numbered(sizes: Iterable[int]) -> np.ndarray:
 def _best_faces(members: list[CityObject]) -> tuple[list[Face], bool]:
     """Return the faces of an object and its pieces that count, each once, and whether coarser solids are among them.
 
-    They are of the highest level of detail that has roofs or no labels; a whole gives way to parts of a higher level.
-    A solid of a lower level counts in place of one that it exceeds by more than `DIFFER_M`, and a whole beside parts.
+    Of each member those of its highest level of detail that has roofs or no labels count; of a whole none do where a
+    part has a higher level. A solid of a lower level counts in their place if it rises more than `DIFFER_M` higher, and
+    one of a whole then counts beside its parts.
 
     Args:
       members: as of `_bodies`.
@@ -189,21 +190,25 @@ def _best_faces(members: list[CityObject]) -> tuple[list[Face], bool]:
     faces: dict[int, Face] = {}  # by what draws them
     part_lod = NO_LEVEL
     is_coarse = False
-    for one in reversed(members):
-        ranks = {(face.label in ROOFS, face.lod) for face in one.faces}
+    for member in reversed(members):
+        ranks = {(face.label in ROOFS, face.lod) for face in member.faces}
         _, lod = max(ranks, default=(True, NO_LEVEL))
-        if one.kind.endswith("Part"):
+        if member.kind.endswith("Part"):
             part_lod = max(part_lod, lod)
-        if one is members[0] and lod < part_lod:
+        if member is members[0] and lod < part_lod:
             lod = NO_LEVEL
-        solids = {of: [face for face in one.faces if face.lod == of] for _, of in ranks if of >= 1}
+        solids = {
+            level: [face for face in member.faces if face.lod == level]
+            for _, level in ranks
+            if level >= 1
+        }
         for coarse, solid in solids.items():
             if coarse == lod or (True, coarse) not in ranks:
                 continue
             if _rise_m(solid) > _rise_m(solids.get(lod, faces.values())) + DIFFER_M:
                 lod = coarse
                 is_coarse = True
-        for face in reversed(one.faces):
+        for face in reversed(member.faces):
             if face.lod in (lod, NO_LEVEL):
                 faces[id(face.rings)] = face
     return [*reversed(faces.values())], is_coarse
@@ -257,10 +262,10 @@ def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -
 
 
 def _is_x_first(crs: pyproj.CRS, box: np.ndarray, is_code: bool) -> bool:
-    """Return whether x comes before y, as which of the two orders lies at latitudes of the CRS's area of use.
+    """Return whether x comes before y: the order that puts the middle at latitudes of the CRS's area of use.
 
-    Where both or neither do, degrees are in the order of the CRS, and so is a projection that is named by a URN or a
-    URL, as in GDAL; else its east comes first.
+    Where both orders or neither do, degrees are in the order of the CRS, and so is a projection that
+    is named by a URN or a URL, as in GDAL; of any other projection east comes first.
 
     Args:
       crs: of the coordinates.

@@ -193,7 +193,10 @@ def _receive(source: Source, scratch: Path, most_bytes: int) -> None:
             f"jaxurban/{importlib.metadata.version('jaxurban')} (jaxurban fetch)"
         )
         session.adapters.clear()  # so that no redirect leads from https to http
-        for scheme in ("https://",) if source.url.startswith("https:") else ("https://", "http://"):
+        schemes = ["https://"]
+        if not source.url.startswith("https:"):
+            schemes.append("http://")
+        for scheme in schemes:
             session.mount(scheme, adapter)
 
         with (

@@ -232,13 +232,13 @@ def _check_no_more(name: str, reader: Any, num_read: int) -> None:
 
 
 def _is_far_below(ground: np.ndarray, far_m: float) -> np.ndarray:
-    """Return ``[Y, X]`` whether all ground around a cell lies so far above it, but for that in `MOST_LOW` - 1 cells.
+    """Return ``[Y, X]`` which cells of the ground are noise, as the ground around them lies more than ``far_m`` above.
 
-    A pit has more cells.
+    It does in the square of `AROUND` cells a side, but for fewer than `MOST_LOW` other cells; a pit has more.
 
     Args:
       ground: ``[Y, X]`` metres, NaN without a point.
-      far_m: how far.
+      far_m: the least depth of noise.
     """
     width = ground.shape[1]
     beside_m = np.fmax.reduce([np.roll(ground, step) for step in (1, -1, width, -width)])
@@ -267,7 +267,9 @@ def _check_all_held(path: str | Path, header: Any) -> None:
 
 
 def _check_chunks(path: str | Path, header: Any, lazrs: Any) -> None:
-    """Check that the chunks of packed points, and their layers, lie within their file, as lazrs makes room for them.
+    """Check that the chunks of packed points, and their layers, lie within their file.
+
+    lazrs makes room for as many bytes as they claim, and where it gets none it ends the process.
 
     Args:
       path: of the file.
@@ -275,7 +277,7 @@ def _check_chunks(path: str | Path, header: Any, lazrs: Any) -> None:
       lazrs: the library.
 
     Raises:
-      ValueError: they are longer, or more chunks than the file has bytes, of which lazrs would end the process.
+      ValueError: they are longer, or there are more chunks than the file has bytes.
     """
     begin = header.offset_to_point_data
     size = Path(path).stat().st_size
@@ -286,7 +288,7 @@ def _check_chunks(path: str | Path, header: Any, lazrs: Any) -> None:
 
     # A chunk is its first point and, of later formats, how many points it has, how long its layers are, and these.
     (record,) = header.vlrs.get("LasZipVlr")
-    num_layers = POINT_LAYERS * (header.point_format.id >= LAYERED)
+    num_layers = POINT_LAYERS if header.point_format.id >= LAYERED else 0
     with Path(path).open("rb") as file:
         file.seek(begin)
         chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(record.record_data_bytes()))

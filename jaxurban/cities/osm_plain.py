@@ -92,7 +92,8 @@ def _needs_writing(name: str, file: Path) -> bool:
         file.open("rb") as source,
         mmap.mmap(source.fileno(), 0, access=mmap.ACCESS_READ) as text,
     ):
-        if remark := REMARK.search(text):
+        remark = REMARK.search(text)
+        if remark:
             _check_is_whole(name, remark[1].decode())
         return (
             text.find(b"<node") < 0

@@ -186,11 +186,11 @@ def check_are_heights(
     extent_m: Bounds,
     terrain: Raster | None,
 ) -> None:
-    """Raise InputError if the heights of buildings, of which there are `LEAST_BUILDINGS`, look like elevations.
+    """Raise InputError if the heights of `LEAST_BUILDINGS` or more buildings look like elevations above the sea.
 
-    Nearly all are higher than the ground lies above the sea there, and that is more than `LEAST_LEVEL_M`; or none is
-    below `HIGH_M`. What is above all buildings of the Earth, and so counts as unreadable, does too. Heights of few
-    buildings alone, as mappers give them to towers, say nothing.
+    They do where hardly one is below `HIGH_M`, or where nearly all are greater than the elevation of their ground and
+    the median of that is above `LEAST_LEVEL_M`. Heights above all buildings of the Earth, which count as unreadable,
+    are among them. Heights of few of the buildings, as mappers give them to towers, say nothing.
 
     Args:
       name: of the file of buildings, for messages.
