@@ -97,22 +97,20 @@ class CityObject:
 
 
 def bodies_of(objects: Iterable[CityObject]) -> Iterator[dict[str, Any]]:
-    """Yield the bodies of objects, each with its pieces.
+    """Yield the bodies of objects, each with its pieces (see `_bodies`).
 
-    Yields:
-      Of each ``polygon``, all faces, roofs first, as a MultiPolygon with heights, empty without a face; ``num_roofs``,
-      how many are roofs by their labels or have none, 0 where all are; and tags as of `Outlines`. The height of kinds
-      that `TAGS` lacks is how far they rise. An object of which something is not read is a line through its vertices
-      as well, which is a building of unknown extent.
+    Args:
+      objects: wholes before their pieces, as what came with a whole is not drawn again.
     """
     seen = set()
     for whole in objects:
-        if whole not in seen:
-            members = [whole]
-            for one in members:
-                seen.add(one)
-                members += [piece for piece in one.pieces if piece not in seen]
-            yield from _bodies(members)
+        if whole in seen:
+            continue
+        members = [whole]
+        for member in members:  # which grow by the pieces of each
+            seen.add(member)
+            members += [piece for piece in member.pieces if piece not in seen]
+        yield from _bodies(members)
 
 
 def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
@@ -120,6 +118,12 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
 
     Args:
       members: the object, then its pieces, each after what it belongs to.
+
+    Yields:
+      Of each ``polygon``, all faces, roofs first, as a MultiPolygon with heights, empty without a face; ``num_roofs``,
+      how many are roofs by their labels or have none, 0 where all are; and tags as of `Outlines`. The height of kinds
+      that `TAGS` lacks is how far they rise. An object of which something is not read is a line through its vertices
+      as well, which is a building of unknown extent.
     """
     kind = PIECE.sub(r"\1", members[0].kind)
     tags = TAGS.get(kind, {})
@@ -127,19 +131,8 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
     faces = [face for face in best if face.label != UNREAD]
     faces.sort(key=lambda face: face.label not in ROOFS)
     num_roofs = sum(face.label in ROOFS for face in faces)
-
-    # The faces as one MultiPolygon, at once; of a coordinate that is no number the place or the height is lost.
-    polygon = shapely.MultiPolygon()
-    if faces:
-        rings = [ring for face in faces for ring in face.rings]
-        vertices = np.concatenate(rings)
-        vertices = np.where(np.isfinite(vertices), vertices, LOST_M)
-        borders = shapely.linearrings(vertices, indices=_numbered(map(len, rings)))  # closed
-        numbers = _numbered(len(face.rings) for face in faces)
-        polygon = shapely.multipolygons(shapely.polygons(borders, indices=numbers))
-
     body = {
-        "polygon": polygon,
+        "polygon": _multipolygon(faces),
         "num_roofs": num_roofs if num_roofs < len(faces) else 0,
         "building": None,
         "height": max(
@@ -152,15 +145,30 @@ def _bodies(members: list[CityObject]) -> Iterator[dict[str, Any]]:
         "is_coarse": is_coarse,
     }
     if len(faces) < len(best):
-        corners = np.concatenate([ring for face in best for ring in face.rings])
-        corners = np.where(np.isfinite(corners), corners, LOST_M)
+        corners = _vertices(best)
         line = shapely.LineString([*corners, corners[0]])
         yield body | {"polygon": line, "building": "yes"} | tags
     if not tags:
         has_level = any(face.lod > 0 for face in faces)  # in plan alone nothing has a height
-        body["height"] = np.ptp(vertices[:, 2]) if has_level else LOST_M
+        body["height"] = np.ptp(_vertices(faces)[:, 2]) if has_level else LOST_M
     if faces or not (best or kind in GROUPS):
         yield body | tags
+
+
+def _multipolygon(faces: list[Face]) -> shapely.MultiPolygon:
+    """Return faces as one MultiPolygon, made at once; an empty one of no face."""
+    if not faces:
+        return shapely.MultiPolygon()
+    rings = [ring for face in faces for ring in face.rings]
+    borders = shapely.linearrings(_vertices(faces), indices=_numbered(map(len, rings)))  # closed
+    numbers = _numbered(len(face.rings) for face in faces)
+    return shapely.multipolygons(shapely.polygons(borders, indices=numbers))
+
+
+def _vertices(faces: list[Face]) -> np.ndarray:
+    """Return the vertices of faces ``[V, 3]``, `LOST_M` for what is no number: the place or the height is lost."""
+    vertices = np.concatenate([ring for face in faces for ring in face.rings])
+    return np.where(np.isfinite(vertices), vertices, LOST_M)
 
 
 def _numbered(sizes: Iterable[int]) -> np.ndarray:
@@ -172,8 +180,9 @@ def _numbered(sizes: Iterable[int]) -> np.ndarray:
 def _best_faces(members: list[CityObject]) -> tuple[list[Face], bool]:
     """Return the faces of an object and its pieces that count, each once, and whether coarser solids are among them.
 
-    They are of the highest level of detail that has roofs or no labels; a whole gives way to parts of a higher level.
-    A solid of a lower level counts in place of one that it exceeds by more than `DIFFER_M`, and a whole beside parts.
+    Of each member those of its highest level of detail that has roofs or no labels count; of a whole none do where a
+    part has a higher level. A solid of a lower level counts in their place if it rises more than `DIFFER_M` higher, and
+    one of a whole then counts beside its parts.
 
     Args:
       members: as of `_bodies`.
@@ -181,21 +190,25 @@ def _best_faces(members: list[CityObject]) -> tuple[list[Face], bool]:
     faces: dict[int, Face] = {}  # by what draws them
     part_lod = NO_LEVEL
     is_coarse = False
-    for one in reversed(members):
-        ranks = {(face.label in ROOFS, face.lod) for face in one.faces}
+    for member in reversed(members):
+        ranks = {(face.label in ROOFS, face.lod) for face in member.faces}
         _, lod = max(ranks, default=(True, NO_LEVEL))
-        if one.kind.endswith("Part"):
+        if member.kind.endswith("Part"):
             part_lod = max(part_lod, lod)
-        if one is members[0] and lod < part_lod:
+        if member is members[0] and lod < part_lod:
             lod = NO_LEVEL
-        solids = {of: [face for face in one.faces if face.lod == of] for _, of in ranks if of >= 1}
+        solids = {
+            level: [face for face in member.faces if face.lod == level]
+            for _, level in ranks
+            if level >= 1
+        }
         for coarse, solid in solids.items():
             if coarse == lod or (True, coarse) not in ranks:
                 continue
             if _rise_m(solid) > _rise_m(solids.get(lod, faces.values())) + DIFFER_M:
                 lod = coarse
                 is_coarse = True
-        for face in reversed(one.faces):
+        for face in reversed(member.faces):
             if face.lod in (lod, NO_LEVEL):
                 faces[id(face.rings)] = face
     return [*reversed(faces.values())], is_coarse
@@ -249,10 +262,10 @@ def outlines_of(path: Path, bodies: list[dict[str, Any]], crs_names: set[str]) -
 
 
 def _is_x_first(crs: pyproj.CRS, box: np.ndarray, is_code: bool) -> bool:
-    """Return whether x comes before y, as which of the two orders lies at latitudes of the CRS's area of use.
+    """Return whether x comes before y: the order that puts the middle at latitudes of the CRS's area of use.
 
-    Where both or neither do, degrees are in the order of the CRS, and so is a projection that is named by a URN or a
-    URL, as in GDAL; else its east comes first.
+    Where both orders or neither do, degrees are in the order of the CRS, and so is a projection that
+    is named by a URN or a URL, as in GDAL; of any other projection east comes first.
 
     Args:
       crs: of the coordinates.

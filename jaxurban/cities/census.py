@@ -34,7 +34,8 @@ GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")
 # whole part, in which three digits follow what parts thousands, and its decimals with a power of ten.
 MOST_PEOPLE = 1e10  # of a block: more is no count
 COUNT = re.compile(
-    r"\s*(\+?(?:[1-9]\d{,2}(?:[,\s]\d{3})+(?!\d)|\d+))((?:[.,]\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*"
+    r"\s*(?P<whole>\+?(?:[1-9]\d{,2}(?:[,\s]\d{3})+(?!\d)|\d+))"
+    r"(?P<decimals>(?:[.,]\d*)?(?:[eE]\+?\d{1,2})?)\s*(?:\(.*\))?\s*"
 )
 
 PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
@@ -55,21 +56,8 @@ def read_blocks(
       InputError: a file or field is missing or unreadable, ids are not unique, no row joins any block, or no block
         touches the box.
     """
-    issues: Counter[ReadIssue] = Counter()
-
-    # Blocks with their people, of any of three kinds.
-    if files.blocks_night is not None and files.blocks_day is not None:
-        night = read_people(files.blocks_night, crs, bounds_m, region_m)
-        day = read_people(files.blocks_day, crs, bounds_m, region_m)
-        frame = _by_night_and_day(night, day)
-    elif Path(str(files.blocks)).suffix.lower() in RASTER_SUFFIXES:
-        if files.table is not None or files.column is not None:
-            raise InputError(
-                f"{str(files.blocks)!r} holds its people itself: leave [population] table and column out"
-            )
-        frame = read_people(str(files.blocks), crs, bounds_m)
-    else:
-        frame = _polygons(files, crs, bounds_m, issues)
+    frame, of_people = _people_of(files, crs, bounds_m, region_m)
+    issues = Counter(of_people)
     if frame.empty:
         raise InputError(
             f"blocks {str(files.blocks)!r} has no block that touches the region: check [region] bounds"
@@ -92,11 +80,36 @@ def read_blocks(
     counts = frame.filter(["_count", "_day"])
     issues[ReadIssue.BLOCKS_WITHOUT_COUNT] = num_of(counts.isna().any(axis=1))
     issues[ReadIssue.BLOCKS_WITHOUT_DISTRICT] = num_of(district == OTHER_DISTRICT)
-    people = counts.fillna(0.0).to_numpy(np.float64).T
-    by_day = people[1] if len(people) > 1 else None
+    people = counts.fillna(0.0).astype(np.float64)
+    night = people["_count"].to_numpy()
+    day = people["_day"].to_numpy() if "_day" in people else None
+    check_people(people.to_numpy().max(axis=1), shapely.area(polygons))
     ids = frame["_id"].to_numpy(object)
-    check_people(people.max(axis=0), shapely.area(polygons))
-    return Blocks(polygons, people[0], district, zoning, ids, by_day), issues
+    return Blocks(polygons, night, district, zoning, ids, day), issues
+
+
+def _people_of(
+    files: Population, crs: str, bounds_m: Bounds | None, region_m: Bounds | None
+) -> tuple[gpd.GeoDataFrame, ReadIssues]:
+    """Return blocks or pixels with their people, and the read issues by count.
+
+    Arguments and errors are those of `read_blocks`.
+
+    Returns:
+      ``geometry``, ``_id`` and ``_count``, of rasters by day and by night also ``_day``; NaN where there is no count.
+    """
+    if files.blocks_night is not None and files.blocks_day is not None:
+        night = read_people(files.blocks_night, crs, bounds_m, region_m)
+        day = read_people(files.blocks_day, crs, bounds_m, region_m)
+        return _by_night_and_day(night, day), {}
+    is_raster = Path(str(files.blocks)).suffix.lower() in RASTER_SUFFIXES
+    if not is_raster:
+        return _polygons(files, crs, bounds_m)
+    if files.table is not None or files.column is not None:
+        raise InputError(
+            f"{str(files.blocks)!r} holds its people itself: leave [population] table and column out"
+        )
+    return read_people(str(files.blocks), crs, bounds_m), {}
 
 
 def _by_night_and_day(night: gpd.GeoDataFrame, day: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
@@ -168,24 +181,23 @@ def read_people(
 
 
 def _polygons(
-    files: Population, crs: str, bounds_m: Bounds | None, issues: Counter[ReadIssue]
-) -> gpd.GeoDataFrame:
-    """Return the polygons of blocks, ``geometry`` with ``_id`` and ``_count``, NaN where there is none.
+    files: Population, crs: str, bounds_m: Bounds | None
+) -> tuple[gpd.GeoDataFrame, ReadIssues]:
+    """Return the polygons of blocks, as of `_people_of`, and how many counts and polygons were missing or unusable.
 
     Args:
       files: blocks, and a table of their people if they have none themselves.
       crs: projected CRS of the result.
       bounds_m: keep only blocks that touch this box of ``crs``; None keeps all.
-      issues: gets how many counts and polygons were missing or unusable.
 
     Raises:
       InputError: as of `read_blocks`.
     """
     path = str(files.blocks)
     field = files.block_field
-    frame = _open(path, "blocks", field)
-    block_id = _ids(frame[field])
-    key = _keys(frame[field])
+    features = _open(path, "blocks", field)
+    block_id = _ids(features[field])
+    key = _keys(features[field])
     is_second = key.duplicated()
     if is_second.any():
         raise InputError(
@@ -195,25 +207,26 @@ def _polygons(
 
     # Join the counts, by key.
     if files.table is None:
-        fields = frame.drop(columns=[field, "geometry"])
+        fields = features.drop(columns=[field, "geometry"])
         count = _count_column(fields, files.column, f"[population] blocks {path!r}")
-        counts = _parse_counts(fields[count], key)
+        counts = _parse_counts(fields[count]).set_axis(key)
     else:
         counts = _counts_in_table(files, key, f"{field!r} of {path!r}")
-    issues[ReadIssue.COUNTS_WITHOUT_BLOCK] = num_of(~counts.index.isin(key))
-    frame = frame.assign(_id=block_id, _count=key.map(counts), _has_row=key.isin(counts.index))
+    joined = features.assign(_id=block_id, _count=key.map(counts), _has_row=key.isin(counts.index))
 
-    frame, num_lost, num_invalid = clean_polygons(frame, crs, bounds_m)
+    frame, num_lost, num_invalid = clean_polygons(joined, crs, bounds_m)
     num_unreadable = num_of(frame["_count"].isna() & frame["_has_row"])
     if num_unreadable == len(frame) > 0:
         raise InputError(
             f"not one count of people of the blocks {path!r} can be read as a number: check the column of population, "
             "in which a comma parts either thousands or decimals"
         )
-    issues[ReadIssue.COUNTS_UNREADABLE] = num_unreadable
-    issues[ReadIssue.BLOCKS_WITHOUT_POLYGON] = num_lost
-    issues[ReadIssue.INVALID_BLOCK_POLYGONS] = num_invalid
-    return frame
+    return frame, {
+        ReadIssue.COUNTS_WITHOUT_BLOCK: num_of(~counts.index.isin(key)),
+        ReadIssue.COUNTS_UNREADABLE: num_unreadable,
+        ReadIssue.BLOCKS_WITHOUT_POLYGON: num_lost,
+        ReadIssue.INVALID_BLOCK_POLYGONS: num_invalid,
+    }
 
 
 def _open(path: str | Path, role: str, field: str) -> gpd.GeoDataFrame:
@@ -247,15 +260,16 @@ def clean_polygons(
       crs: projected CRS in metres.
       bounds_m: keep only what touches this box of ``crs``, and count only what is near it; left out, all.
     """
+    near = frame
     if bounds_m is not None:
         assert frame.crs is not None
         to_file = transformer(crs, frame.crs.to_wkt())
         x_min, y_min, x_max, y_max = to_file.transform_bounds(*bounds_m, densify_pts=21)
-        frame = frame.cx[x_min:x_max, y_min:y_max]
-    frame = frame.to_crs(projected_crs(crs))
+        near = frame.cx[x_min:x_max, y_min:y_max]
+    projected = near.to_crs(projected_crs(crs))
 
     # Repair what is invalid, and leave out what has no area then.
-    polygons = frame.geometry.to_numpy().copy()
+    polygons = projected.geometry.to_numpy().copy()
     is_invalid = ~shapely.is_valid(polygons) & ~shapely.is_missing(polygons)
     polygons[is_invalid] = shapely.make_valid(polygons[is_invalid], method="structure")
     polygons = without_collections(polygons)
@@ -265,8 +279,8 @@ def clean_polygons(
     num_invalid = num_of(is_invalid)
     if bounds_m is not None:
         is_kept &= shapely.intersects(polygons, shapely.box(*bounds_m))
-    frame = frame.set_geometry(polygons, crs=frame.crs)
-    return frame[is_kept], num_lost, num_invalid
+    repaired = projected.set_geometry(polygons, crs=projected.crs)
+    return repaired[is_kept], num_lost, num_invalid
 
 
 def _ids(column: pd.Series) -> pd.Series:
@@ -283,22 +297,20 @@ def _keys(column: pd.Series) -> pd.Series:
     return _ids(column).str.lstrip("0")
 
 
-def _parse_counts(column: pd.Series, key: pd.Series | pd.Index) -> pd.Series:
-    """Return counts of people, float64 by key, NaN for what is no number as in `COUNT` or above `MOST_PEOPLE`.
+def _parse_counts(column: pd.Series) -> pd.Series:
+    """Return counts of people, float64 by row, NaN for what is no number as in `COUNT` or above `MOST_PEOPLE`.
 
-    All are NaN where a comma parts thousands in some, and comes before other than three digits in others.
+    All are NaN where a comma parts thousands in some and decimals in others, as in 1,200 beside 12,5.
 
     Args:
       column: ``[N]`` counts as they stand.
-      key: ``[N]`` of their rows, from `_keys`.
     """
     parts = column.astype(str).str.extract(f"^{COUNT.pattern}$").fillna("")
-    whole, decimals = parts[0], parts[1]
+    whole, decimals = parts["whole"], parts["decimals"]
     is_clear = not (whole.str.contains(",").any() and decimals.str.startswith(",").any())
     digits = whole.str.replace(r"[,\s]", "", regex=True) + decimals.str.replace(",", ".")
-    people = pd.to_numeric(digits, errors="coerce").to_numpy(np.float64)
-    people = np.where(is_clear & (people <= MOST_PEOPLE), people, np.nan)
-    return pd.Series(people, index=pd.Index(key, name="key"))
+    people = pd.to_numeric(digits, errors="coerce").astype(np.float64)
+    return people.where(is_clear & (people <= MOST_PEOPLE))
 
 
 def _count_column(table: pd.DataFrame, column: str | None, name: str) -> str:
@@ -312,20 +324,23 @@ def _count_column(table: pd.DataFrame, column: str | None, name: str) -> str:
     Raises:
       InputError: there is none, or several may be it, and their counts differ.
     """
-    known = [str(column) for column in table if COUNT_COLUMN.fullmatch(str(column).lower())]
     if column is not None:
-        known = [column] if column in table else []
-    if not known:
+        candidates = [column] if column in table else []
+    else:
+        fields = map(str, table)
+        candidates = [field for field in fields if COUNT_COLUMN.fullmatch(field.lower())]
+    if not candidates:
         raise InputError(
             f"{name} has no field {column or 'of population (such as POP10)'}: name one of "
             f"{', '.join(map(repr, table))} in [population] column, or set [population] table to the table that has it"
         )
-    counts = [_parse_counts(table[column], table.index) for column in known]
+    counts = [_parse_counts(table[candidate]) for candidate in candidates]
     if not all(count.equals(counts[0]) for count in counts):
         raise InputError(
-            f"{name} has several columns that may be of people, {', '.join(known)}: name the one in [population] column"
+            f"{name} has several columns that may be of people, {', '.join(candidates)}: name the one in "
+            "[population] column"
         )
-    return known[0]
+    return candidates[0]
 
 
 def _counts_in_table(files: Population, block_keys: pd.Series, wanted: str) -> pd.Series:
@@ -365,8 +380,8 @@ def _counts_in_table(files: Population, block_keys: pd.Series, wanted: str) -> p
         table = table.iloc[1:]
 
     # A row may stand twice, but not with another count. Of rows that join no block it does not matter.
-    counts = _parse_counts(table[count], _keys(table[id_column]))
-    counts = counts[~counts.reset_index().duplicated().to_numpy()]
+    by_row = _parse_counts(table[count]).set_axis(_keys(table[id_column]))
+    counts = by_row[~by_row.reset_index().duplicated().to_numpy()]
     twice = counts.index[counts.index.duplicated() & counts.index.isin(block_keys)]
     if len(twice):
         raise InputError(
@@ -399,8 +414,9 @@ def read_districts(
             f"districts {str(path)!r} has the label {frame[field][is_unusable].iloc[0]} in field {field!r}: "
             "labels must be whole numbers (set [population] district_field to the field that holds them)"
         )
-    frame, _, num_invalid = clean_polygons(frame.assign(**{field: labels.astype(np.int32)}), crs)
-    return frame.geometry.to_numpy(), frame[field].to_numpy(), num_invalid
+    labelled = frame.assign(**{field: labels.astype(np.int32)})
+    districts, _, num_invalid = clean_polygons(labelled, crs)
+    return districts.geometry.to_numpy(), districts[field].to_numpy(), num_invalid
 
 
 def largest_overlap(polygons: np.ndarray, districts: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -414,21 +430,23 @@ def largest_overlap(polygons: np.ndarray, districts: np.ndarray, labels: np.ndar
     Returns:
       ``[N]`` int32. Touching does not count as overlap; of equal overlaps the smallest label wins.
     """
-    index, candidate = shapely.STRtree(districts).query(polygons, predicate="intersects")
-    shapely.prepare(districts)
+    polygon, near = shapely.STRtree(districts).query(polygons, predicate="intersects")
+    shapely.prepare(districts)  # which makes the next step quick, and changes no shape
 
     # The area of each pair. Most blocks lie wholly within one district: no need to cut them out of its long shoreline.
-    is_cut = ~shapely.contains_properly(districts[candidate], polygons[index])
-    area_m2 = shapely.area(polygons[index])
-    area_m2[is_cut] = shapely.area(
-        shapely.intersection(polygons[index[is_cut]], districts[candidate[is_cut]])
+    may_stick_out = ~shapely.contains_properly(districts[near], polygons[polygon])
+    area_m2 = shapely.area(polygons[polygon])
+    area_m2[may_stick_out] = shapely.area(
+        shapely.intersection(polygons[polygon[may_stick_out]], districts[near[may_stick_out]])
     )
 
-    pairs = pd.DataFrame({"index": index, "label": labels[candidate], "area_m2": area_m2})
-    pairs = pairs[pairs["area_m2"] > 0].groupby(["index", "label"], as_index=False).sum()
-    best = pairs.sort_values(["area_m2", "label"], ascending=[False, True]).drop_duplicates("index")
+    # Of equal overlaps the smallest label comes first.
+    pairs = pd.DataFrame({"polygon": polygon, "label": labels[near], "area_m2": area_m2})
+    overlaps = pairs[pairs["area_m2"] > 0].groupby(["polygon", "label"], as_index=False).sum()
+    in_order = overlaps.sort_values(["area_m2", "label"], ascending=[False, True])
+    best = in_order.drop_duplicates("polygon")
     district = np.full(len(polygons), OTHER_DISTRICT, np.int32)
-    district[best["index"].to_numpy()] = best["label"].to_numpy()
+    district[best["polygon"].to_numpy()] = best["label"].to_numpy()
     return district
 
 
@@ -437,8 +455,8 @@ def zoning_of(
 ) -> np.ndarray:
     """Return the `Zoning` of each district label, uint8.
 
-    Residential are Manhattan's twelve (101 to 112) less the commercial ones; where the districts file has none of the
-    twelve, every district of it but the commercial ones.
+    Residential are the districts of Manhattan (101 to 112), but for the commercial ones; where the districts file has
+    none of these, all its districts but the commercial ones.
 
     Args:
       district: ``[N]`` labels.
@@ -446,13 +464,13 @@ def zoning_of(
       labels: every label of the districts file, empty without one.
 
     Returns:
-      ``[N]`` uint8. OTHER for labels on neither list (Central Park is 164, no district is 13): such blocks change by
-      day like residential ones and are counted apart.
+      ``[N]``. OTHER for labels on neither list (164, Central Park, and `OTHER_DISTRICT`): such blocks change by day as
+      residential ones do, and are counted apart.
     """
-    twelve = set(PAPER_DISTRICTS).intersection(labels)
-    residential = (twelve or set(labels)) - {OTHER_DISTRICT}
+    manhattan = set(PAPER_DISTRICTS).intersection(labels)
+    residential = (manhattan if manhattan else set(labels)) - {OTHER_DISTRICT}
     is_commercial = np.isin(district, list(commercial))
-    is_residential = np.isin(district, list(residential))
+    is_residential = np.isin(district, list(residential)) & ~is_commercial
     return np.select(
         [is_commercial, is_residential], [Zoning.COMMERCIAL, Zoning.RESIDENTIAL], Zoning.OTHER
     ).astype(np.uint8)

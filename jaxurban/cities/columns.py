@@ -24,7 +24,9 @@ from jaxurban.settings import MAX_HEIGHT_M, Unit
 Columns = Mapping[str, np.ndarray]
 # Tags of rough figures. A light ends above its focal plane, whose height is that over high water.
 ROUGH = (
-    *("est_height", "seamark:light:height", "seamark:light:1:height"),
+    "est_height",
+    "seamark:light:height",
+    "seamark:light:1:height",
     "seamark:landmark:height",
 )
 CUT_LETTERS = 10  # of a column's name in a Shapefile
@@ -220,7 +222,7 @@ def tags_of_table(
         ground = GROUNDS.get(roof, "")
         unit = SCHEMAS[schema]
     if not roof:
-        _check_metric(columns, tags, file, crs)
+        _refuse_unclear_heights(columns, tags, file, crs)
     unit_m = UNITS_M[unit or "m"]
     if ground:
         tops, bottoms = (pd.to_numeric(values[name], errors="coerce") for name in (roof, ground))
@@ -242,13 +244,13 @@ def _filled(column: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _opened(values: Columns) -> Columns:
     """Return columns by plain name, with the tags of `NESTED` where no column of their own says them."""
+    opened = dict(values)
     for name in set(NESTED).intersection(values):
-        inner = pd.DataFrame([_inner_tags(str(text)) for text in values[name]], dtype=object)
-        values = dict(values)
+        inner = pd.DataFrame([_inner_tags(str(text)) for text in opened[name]], dtype=object)
         for tag in map(str, inner):
-            own = inner[tag].to_numpy()
-            values[tag] = _filled(values.get(tag, own), own)
-    return values
+            nested = inner[tag].to_numpy()
+            opened[tag] = _filled(opened.get(tag, nested), nested)
+    return opened
 
 
 def _inner_tags(text: str) -> dict[str, Any]:
@@ -275,26 +277,34 @@ def _in_metres(column: np.ndarray, unit_m: float) -> np.ndarray:
     return np.where(np.isnan(metres), column, metres)
 
 
-def _check_metric(
+def _refuse_unclear_heights(
     columns: Columns, tags: Columns, file: settings.Buildings, crs: pyproj.CRS
 ) -> None:
-    """Check that heights may be taken for metres, and that no column of another name holds heights that are lacking.
+    """Refuse a table in which columns of other names hold heights whose unit nobody says.
+
+    Args:
+      columns: ``[N]`` values by name.
+      tags: of these, as of `tags_of`.
+      file: its path, for messages.
+      crs: of the outlines.
 
     Raises:
-      InputError: heights beside coordinates in feet; or other columns, most of whose values may be heights, where one
-        is lacking.
+      InputError: most of such a column are numbers, and one may be a height where the tags have none, or is above 0
+        where coordinates are in feet.
     """
     is_in_feet = crs.is_projected and crs.axis_info[0].unit_conversion_factor != 1
-    is_lacking = ~(read_column(tags.get("height", np.zeros(1)), parse_length_m) > 0)
+    no_heights = np.zeros(1)  # stands for any number of rows
+    has_no_height = ~(read_column(tags.get("height", no_heights), parse_length_m) > 0)
     unclear = []
     for name, column in columns.items():
         plain = _plain(name)
         if not HEIGHT.search(plain) or NO_ROOF.search(plain):
             continue
         height = read_column(column, parse_length_m)
-        is_height = (height >= 1) & (height <= MAX_HEIGHT_M) & is_lacking
         holds_numbers = 2 * np.isfinite(height).sum() > is_given(column).sum()
-        if holds_numbers and ((height > 0) & is_in_feet | is_height).any():
+        is_plausible = (height >= 1) & (height <= MAX_HEIGHT_M)
+        is_needed = (height > 0) if is_in_feet else is_plausible & has_no_height
+        if holds_numbers and is_needed.any():
             unclear.append(name)
     if unclear:
         first = json.dumps(unclear[0], ensure_ascii=False)

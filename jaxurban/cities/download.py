@@ -138,7 +138,8 @@ def download(source: Source, most_bytes: int) -> Path:
     # A copy in the cache is used if it is fresh and whole, and removed otherwise.
     for path in folder.glob(f"{key}-*"):
         is_fresh = 0 <= time.time() - path.stat().st_mtime < source.fresh_s
-        if is_fresh and digest_of(path) == path.name.split("-")[1]:
+        _, digest, *_ = path.name.split("-")
+        if is_fresh and digest_of(path) == digest:
             LOG.info(f"{source.name}: a copy in the cache ({source.url})")
             return path
         path.unlink()
@@ -148,7 +149,7 @@ def download(source: Source, most_bytes: int) -> Path:
     with scratch_for(folder / key) as scratch:
         try:
             _receive(source, scratch, most_bytes)
-        except InputError:
+        except InputError:  # which is a ValueError too
             raise
         except (requests.RequestException, HTTPError, ValueError) as error:
             raise InputError(
@@ -192,7 +193,10 @@ def _receive(source: Source, scratch: Path, most_bytes: int) -> None:
             f"jaxurban/{importlib.metadata.version('jaxurban')} (jaxurban fetch)"
         )
         session.adapters.clear()  # so that no redirect leads from https to http
-        for scheme in ("https://",) if source.url.startswith("https:") else ("https://", "http://"):
+        schemes = ["https://"]
+        if not source.url.startswith("https:"):
+            schemes.append("http://")
+        for scheme in schemes:
             session.mount(scheme, adapter)
 
         with (

@@ -181,9 +181,37 @@ class FetchJob:
         source = SOURCES[name]
         template = self.urls.get(name, source.url)
         margin_m = self.margin_m if name == "osm" else BLOCK_MARGIN_M
-
-        # Fill in the template: the sides in degrees, and the query of the Overpass API.
         box_m = self.box_m(margin_m)
+        url = self._url_of(name, template, box_m)
+
+        # A template without places is of a whole extract, which no server cuts out.
+        area_km2 = shapely.box(*box_m).area / 1e6
+        if name == "osm" and "{" in template and area_km2 > MOST_OVERPASS_KM2:
+            raise InputError(
+                f"the region with its margin of {margin_m:g} m has {area_km2:,.0f} km2, and the Overpass API, a shared "
+                f"server, is asked for {MOST_OVERPASS_KM2:g} km2 at most: give an extract that covers it with "
+                "--source osm=URL (download.geofabrik.de has them), or a smaller region"
+            )
+
+        asked = replace(source, url=url)
+        parts = urlsplit(url)
+        if name != "osm" and name in self.urls:
+            return replace(asked, credit=parts.hostname or "", licence="ask its publisher")
+        if name == "osm" and parts.path.endswith(".pbf"):
+            return replace(asked, file=f"{source.file}.pbf")
+        return asked
+
+    def _url_of(self, name: str, template: str, box_m: Bounds) -> str:
+        """Return the URL of a template, with the sides of a box in degrees and the query of the Overpass API.
+
+        Args:
+          name: of the source, for messages.
+          template: as of `SOURCES`.
+          box_m: x_min, y_min, x_max, y_max in `crs`.
+
+        Raises:
+          InputError: a URL that cannot be used.
+        """
         box = transformer(self.crs, WGS84).transform_bounds(*box_m, densify_pts=21)
         sides = zip(("west", "south", "east", "north"), box, strict=True)
         degrees = {side: f"{value:.6f}" for side, value in sides}
@@ -197,21 +225,7 @@ class FetchJob:
                 f"the URL {template!r} of the source {name!r} cannot be used ({error}): it must begin with https:// or "
                 "http:// and a host; {query}, {west}, {south}, {east} and {north} may stand in it, other braces doubled"
             ) from error
-
-        # A template without places is of a whole extract, which no server cuts out.
-        area_km2 = shapely.box(*box_m).area / 1e6
-        if name == "osm" and "{" in template and area_km2 > MOST_OVERPASS_KM2:
-            raise InputError(
-                f"the region with its margin of {margin_m:g} m has {area_km2:,.0f} km2, and the Overpass API, a shared "
-                f"server, is asked for {MOST_OVERPASS_KM2:g} km2 at most: give an extract that covers it with "
-                "--source osm=URL (download.geofabrik.de has them), or a smaller region"
-            )
-
-        if name == "osm" and parts.path.endswith(".pbf"):
-            return replace(source, url=url, file=f"{source.file}.pbf")
-        if name != "osm" and name in self.urls:
-            source = replace(source, credit=parts.hostname, licence="ask its publisher")
-        return replace(source, url=url)
+        return url
 
 
 def fetch(job: FetchJob, folder: Path, *, most_bytes: int, overwrite: bool = False) -> Settings:
@@ -357,7 +371,10 @@ def _read_osm(job: FetchJob, path: Path, file: str) -> Settings:
 def _read_census(job: FetchJob, path: Path, file: str) -> Settings:
     """Return the sections of a scenario that use census blocks, empty where there is no block.
 
-    Arguments are those of `_read_osm`.
+    Args:
+      job: its region.
+      path: the download, GeoJSON.
+      file: its name in the user's folder.
 
     Raises:
       InputError: the server sent an error or a part of the blocks only, or the blocks cannot be read.
@@ -369,12 +386,14 @@ def _read_census(job: FetchJob, path: Path, file: str) -> Settings:
         )
     # ArcGIS writes it in either place.
     holders = (content, content.get("properties", {}))
-    if any(holder.get("exceededTransferLimit") for holder in holders):
+    is_cut = any(holder.get("exceededTransferLimit") for holder in holders)
+    if is_cut:
         raise InputError(
             f"{str(path)!r} holds a part of the region's blocks only: ask for a smaller region"
         )
     if not content["features"]:
         return {}
+    # What a run could not read is refused now.
     read_blocks(Population(blocks=path, block_field=BLOCK_FIELD), job.crs)
     return {"population": {"blocks": file, "block_field": BLOCK_FIELD}}
 
@@ -382,7 +401,10 @@ def _read_census(job: FetchJob, path: Path, file: str) -> Settings:
 def _read_districts(job: FetchJob, path: Path, file: str) -> Settings:
     """Return the sections of a scenario that use district polygons, empty where none touches the region.
 
-    Arguments are those of `_read_osm`.
+    Args:
+      job: its region.
+      path: the download, a vector file.
+      file: its name in the user's folder.
 
     Raises:
       InputError: the polygons cannot be read, or there are none.
@@ -400,8 +422,12 @@ def _read_districts(job: FetchJob, path: Path, file: str) -> Settings:
 def _read_orbits(job: FetchJob, path: Path, file: str) -> Settings:
     """Return the sections of a scenario that use element sets, empty where they are too far from the job's day.
 
-    Arguments are those of `_read_osm`. Without a day the maps are of the middle one
-    of the elements' epochs.
+    Without a day the maps are of the middle one of the elements' epochs.
+
+    Args:
+      job: its day.
+      path: the download.
+      file: its name in the user's folder.
     """
     epoch = str(middle_epoch(read_orbits(path)))
     if job.day and abs((job.day - date.fromisoformat(epoch[:10])).days) > WARN_AGE_DAYS:

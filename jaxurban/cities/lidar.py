@@ -32,7 +32,7 @@ FAR_BELOW_M, FAR_BELOW_SIDES, MOST_LOW = 5.0, 2.0, 3
 AROUND = 7  # cells
 # What points are by their classes (ASPRS, LAS 1.4 R15, table 17). Any other class is built: bridges, wires, towers and
 # what a publisher defines. Ground are also key points of its model, water, rails, roads and the bottom of waters;
-# unclassified are also overlaps.
+# unclassified are also overlaps. Unclassified points and plants may count as built: so these come first, in this order.
 BUILT, UNCLASSIFIED, PLANTS, GROUND, NOISE = range(5)
 NOISE_CLASS = 7
 LAYER_OF = np.full(256, BUILT)
@@ -105,7 +105,6 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
             f"{name} holds lidar points: install what reads them with `pip install 'jaxurban[lidar]'`"
         ) from error
     used = laspy.DecompressionSelection(USED)
-    counts = np.zeros(256, int)
     with (
         readable(path, "lidar points", "fetch it again"),
         in_own_words(laspy.LaspyException),
@@ -117,43 +116,25 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
         else:
             _check_all_held(path, header)
         crs, unit_m = _crs_and_unit(name, header, declared)
-        x_min, y_min, x_max, y_max = box = [*map(float, (*header.mins[:2], *header.maxs[:2]))]
-        check_on_earth(name, crs, box)
+        cells = _cells_over(name, header, crs)
+        layers, counts = _heights_by_layer(reader, cells, unit_m)
+        _check_no_more(name, reader, counts.sum())
 
-        # Rows from the south, half a cell beyond the box.
-        share = max(POINTS_A_CELL / header.point_count, 1 / MOST_CELLS)
-        side = math.sqrt((x_max - x_min) * (y_max - y_min) * share)
-        num_cols, num_rows = (int(length / side) + 2 for length in (x_max - x_min, y_max - y_min))
-        left, low = x_min - side / 2, y_min - side / 2
-        layers = np.full((5, num_rows, num_cols), np.nan, np.float32)
-        for points in reader.chunk_iterator(CHUNK):
-            classes = np.where(points.withheld, NOISE_CLASS, points.classification)
-            counts += np.bincount(classes, minlength=256)
-            layer = LAYER_OF[classes]
-            col = ((points.x - left) / side).astype(int)
-            row = ((points.y - low) / side).astype(int)
-            cell = np.ravel_multi_index((layer, row, col), layers.shape)
-            # The lowest of the ground is the highest upside down.
-            height_m = points.z * unit_m * np.where(layer == GROUND, -1, 1)
-            np.fmax.at(layers.reshape(-1), cell, np.float32(height_m))
+    # Layers before this one are built, and those from it to the ground grow.
+    if kind == "surface":
+        first_growing = GROUND
+    elif counts[LAYER_OF == BUILT].any():
+        first_growing = UNCLASSIFIED
+    else:
+        first_growing = PLANTS
+    roofs = np.fmax.reduce(layers[:first_growing])
+    plants = np.fmax.reduce(layers[first_growing:GROUND], initial=np.nan)
 
-        # Behind the last of packed points no more can be unpacked.
-        header.point_count += FEW * header.are_points_compressed
-        more = False
-        with suppress(ValueError), in_own_words():
-            more = bool(reader.read_points(FEW))
-        if more:
-            raise InputError(NOT_WHOLE.format(name, counts.sum(), "more"))
-
-    ground = -layers[GROUND]
-    is_low = _is_far_below(ground, max(FAR_BELOW_M, FAR_BELOW_SIDES * side))
-    ground[is_low] = np.nan
-    num_built = 3 if kind == "surface" else 2 - bool(counts[LAYER_OF == BUILT].any())
-    roofs = np.fmax.reduce(layers[:num_built])
-    plants = np.fmax.reduce(layers[num_built:GROUND], initial=np.nan)
+    is_low = _is_far_below(layers[GROUND], max(FAR_BELOW_M, FAR_BELOW_SIDES * cells.side))
+    ground = np.where(is_low, np.float32(np.nan), layers[GROUND])
     surface = np.where(np.isnan(roofs), ground, roofs)
     highest = np.fmax(np.fmax(roofs, plants), ground)
-    transform = (side, 0.0, left, 0.0, side, low)
+    transform = (cells.side, 0.0, cells.left, 0.0, cells.side, cells.low)
     on_grid = partial(Raster, transform=transform, crs=crs.to_2d().to_string())
     by_class = {f"of class {number}": int(count) for number, count in enumerate(counts)}
     return Points(
@@ -165,14 +146,99 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
     )
 
 
-def _is_far_below(ground: np.ndarray, far_m: float) -> np.ndarray:
-    """Return ``[Y, X]`` whether all ground around a cell lies so far above it, but for that in `MOST_LOW` - 1 cells.
+class _Cells(NamedTuple):
+    """The square cells over the box of a file's points, rows from the south.
 
-    A pit has more cells.
+    Attributes:
+      left, low: their southwest corner, in the CRS of the points.
+      side: of a cell, in the same unit.
+      shape: numbers of rows and columns.
+    """
+
+    left: float
+    low: float
+    side: float
+    shape: tuple[int, int]
+
+
+def _cells_over(name: str, header: Any, crs: CRS) -> _Cells:
+    """Return the cells over the box of a header, from half a cell outside of it.
+
+    Args:
+      name: of the file, for messages.
+      header: of it.
+      crs: of its points.
+
+    Raises:
+      InputError: the box is not on the Earth.
+      ValueError: no points, or a box without area.
+    """
+    x_min, y_min, x_max, y_max = box = [*map(float, (*header.mins[:2], *header.maxs[:2]))]
+    check_on_earth(name, crs, box)
+    area = (x_max - x_min) * (y_max - y_min)
+    if header.point_count == 0 or area <= 0:
+        raise ValueError("it has no points, or a box without area")
+    side = math.sqrt(area * max(POINTS_A_CELL / header.point_count, 1 / MOST_CELLS))
+    shape = int((y_max - y_min) / side) + 2, int((x_max - x_min) / side) + 2
+    return _Cells(x_min - side / 2, y_min - side / 2, side, shape)
+
+
+def _heights_by_layer(reader: Any, cells: _Cells, unit_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``[L, Y, X]`` the highest point of each layer, of `GROUND` the lowest, and ``[256]`` points by class.
+
+    Args:
+      reader: laspy's, before the first point.
+      cells: over the points.
+      unit_m: metres in a unit of their heights.
+
+    Returns:
+      Metres, float32, NaN without a point; withheld points count as noise.
+
+    Raises:
+      ValueError: a point lies outside the cells.
+    """
+    counts = np.zeros(256, int)
+    shape = NOISE + 1, *cells.shape
+    layers = np.full(shape, np.nan, np.float32)
+    for points in reader.chunk_iterator(CHUNK):
+        classes = np.where(points.withheld, NOISE_CLASS, points.classification)
+        counts += np.bincount(classes, minlength=256)
+        layer = LAYER_OF[classes]
+        col = ((points.x - cells.left) / cells.side).astype(int)
+        row = ((points.y - cells.low) / cells.side).astype(int)
+        cell = np.ravel_multi_index((layer, row, col), shape)  # ValueError outside
+        # The lowest of the ground is the highest upside down.
+        height_m = points.z * unit_m * np.where(layer == GROUND, -1, 1)
+        np.fmax.at(layers.reshape(-1), cell, np.float32(height_m))
+    layers[GROUND] = -layers[GROUND]
+    return layers, counts
+
+
+def _check_no_more(name: str, reader: Any, num_read: int) -> None:
+    """Raise InputError if packed points follow those that the header counts.
+
+    Args:
+      name: of the file, for messages.
+      reader: laspy's, behind the last point; it reads as many as the header counts, which is therefore raised.
+      num_read: points so far.
+    """
+    reader.header.point_count += FEW * reader.header.are_points_compressed
+    has_more = False
+    # Where none follow there is nothing to unpack, and lazrs fails.
+    with suppress(ValueError), in_own_words():
+        has_more = bool(reader.read_points(FEW))
+    if has_more:
+        raise InputError(NOT_WHOLE.format(name, num_read, "more"))
+
+
+def _is_far_below(ground: np.ndarray, far_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` which cells of the ground are noise, as the ground around them lies more than ``far_m`` above.
+
+    It does in the square of `AROUND` cells a side, but for fewer than `MOST_LOW` other cells; a pit has more.
 
     Args:
       ground: ``[Y, X]`` metres, NaN without a point.
-      far_m: how far.
+      far_m: the least depth of noise.
     """
     width = ground.shape[1]
     beside_m = np.fmax.reduce([np.roll(ground, step) for step in (1, -1, width, -width)])
@@ -201,7 +267,9 @@ def _check_all_held(path: str | Path, header: Any) -> None:
 
 
 def _check_chunks(path: str | Path, header: Any, lazrs: Any) -> None:
-    """Check that the chunks of packed points, and their layers, lie within their file, as lazrs makes room for them.
+    """Check that the chunks of packed points, and their layers, lie within their file.
+
+    lazrs makes room for as many bytes as they claim, and where it gets none it ends the process.
 
     Args:
       path: of the file.
@@ -209,7 +277,7 @@ def _check_chunks(path: str | Path, header: Any, lazrs: Any) -> None:
       lazrs: the library.
 
     Raises:
-      ValueError: they are longer, or more chunks than the file has bytes, of which lazrs would end the process.
+      ValueError: they are longer, or there are more chunks than the file has bytes.
     """
     begin = header.offset_to_point_data
     size = Path(path).stat().st_size
@@ -220,7 +288,7 @@ def _check_chunks(path: str | Path, header: Any, lazrs: Any) -> None:
 
     # A chunk is its first point and, of later formats, how many points it has, how long its layers are, and these.
     (record,) = header.vlrs.get("LasZipVlr")
-    num_layers = POINT_LAYERS * (header.point_format.id >= LAYERED)
+    num_layers = POINT_LAYERS if header.point_format.id >= LAYERED else 0
     with Path(path).open("rb") as file:
         file.seek(begin)
         chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(record.record_data_bytes()))

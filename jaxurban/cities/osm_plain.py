@@ -92,7 +92,8 @@ def _needs_writing(name: str, file: Path) -> bool:
         file.open("rb") as source,
         mmap.mmap(source.fileno(), 0, access=mmap.ACCESS_READ) as text,
     ):
-        if remark := REMARK.search(text):
+        remark = REMARK.search(text)
+        if remark:
             _check_is_whole(name, remark[1].decode())
         return (
             text.find(b"<node") < 0
@@ -129,54 +130,84 @@ def _line_of(item: ElementTree.Element) -> Element:
     }
 
 
-def _write(name: str, plain: Path, elements: Iterable[Element], header: osmium.io.Header) -> None:
-    """Write objects, as the Overpass API's JSON has them, as plain XML in order; errors as of `plain_osm`.
+class _PlainObjects:
+    """Objects, as the Overpass API's JSON has them, as those of pyosmium.
 
     Nodes and ways that the file has in ways and members alone become nodes and ways too. Of an object that comes
     several times (with its tags, and again as what another one refers to) the last one with tags counts.
+
+    Attributes:
+      by_key: the objects by the place of their kind in `OBJECTS` and their id, whose order is that of a file.
     """
-    own: defaultdict[tuple[str, str], int] = defaultdict(count(OWN_IDS).__next__)
-    objects: dict[tuple[int, int], Any] = {}  # by the place of their type in `OBJECTS`, and id
 
-    def number(kind: str, ref: Any, _: Any = None) -> int:
-        """Return an object's id, above 0."""
-        return int(ref) if str(ref).isdigit() else own[kind, str(ref)]
+    def __init__(self) -> None:
+        """Begin without an object."""
+        self.by_key: dict[tuple[int, int], Any] = {}
+        self._own_ids: defaultdict[tuple[str, str], int] = defaultdict(count(OWN_IDS).__next__)
 
-    def keep(kind: str, ref: Any, about: Element) -> int:
-        """Keep an object with all that it holds, unless there is one that says more; return its id."""
+    def id_of(self, kind: str, ref: Any) -> int:
+        """Return an object's id, above 0: the file's, or for another text one from `OWN_IDS` on."""
+        text = str(ref)
+        return int(text) if text.isdigit() else self._own_ids[kind, text]
+
+    def add(self, kind: str, ref: Any, about: Element) -> None:
+        """Add an object with all that it holds, unless there is one that says more."""
         item: Any
         if kind == "node":
             item = Node(location=(float(about["lon"]), float(about["lat"])))
         elif kind == "way":
-            nodes = []
-            # A node without an id is known by its place.
-            for node, place in zip_longest(about.get("nodes", ()), about.get("geometry", ())):
-                hold = keep if place and "lat" in place else number
-                nodes.append(hold("node", node or str(place), place))
-            item = Way(nodes=nodes)
+            item = Way(nodes=self._node_ids(about))
         else:
-            members = []
-            for member in about.get("members", ()):
-                hold = keep if member.get("geometry") else number
-                member_id = hold(member["type"], member["ref"], member)
-                members.append((member["type"][0], member_id, member["role"]))
-            item = Relation(members=members)
-        item.id = number(kind, ref)
+            item = Relation(members=self._members(about))
+        item.id = self.id_of(kind, ref)
         item.tags = about.get("tags")
         key = OBJECTS.index(kind), item.id
-        if item.tags or key not in objects:
-            objects[key] = item
-        return key[1]
+        if item.tags or key not in self.by_key:
+            self.by_key[key] = item
 
+    def _node_ids(self, way: Element) -> list[int]:
+        """Return the ids of a way's nodes, of which those with a place are added."""
+        ids = []
+        for node, place in zip_longest(way.get("nodes", ()), way.get("geometry", ())):
+            ref = node or str(place)  # a node without an id is known by its place
+            if place and "lat" in place:
+                self.add("node", ref, place)
+            ids.append(self.id_of("node", ref))
+        return ids
+
+    def _members(self, relation: Element) -> list[tuple[str, int, str]]:
+        """Return the members of a relation, letter of their kind, id and role; those with places are added."""
+        members = []
+        for member in relation.get("members", ()):
+            kind, ref = member["type"], member["ref"]
+            if member.get("geometry"):
+                self.add(kind, ref, member)
+            members.append((kind[0], self.id_of(kind, ref), member["role"]))
+        return members
+
+
+def _write(name: str, plain: Path, elements: Iterable[Element], header: osmium.io.Header) -> None:
+    """Write objects, as the Overpass API's JSON has them, as plain XML in order (see `_PlainObjects`).
+
+    Args:
+      name: of their file, for messages.
+      plain: the file to write.
+      elements: the objects.
+      header: of the file to write.
+
+    Raises:
+      InputError: ways or relations without one node.
+    """
+    objects = _PlainObjects()
     for element in elements:
         if element["type"] in OBJECTS:
-            keep(element["type"], element["id"], element)
-    order = sorted(objects)
-    if order and order[0][0] > 0:
+            objects.add(element["type"], element["id"], element)
+    in_order = sorted(objects.by_key)
+    if in_order and OBJECTS[in_order[0][0]] != "node":
         raise InputError(
             f"{name} holds ways or relations and not one node, so that their places are not known: end the query in "
             "`(._;>;); out;`, or in `out geom;`"
         )
     with osmium.SimpleWriter(str(plain), header=header) as writer:
-        for key in order:
-            writer.add(objects[key])
+        for key in in_order:
+            writer.add(objects.by_key[key])

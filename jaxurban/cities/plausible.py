@@ -34,7 +34,9 @@ LEAST_CELLS = 2000  # 20 hectares: on less, slopes of bare ground pass for a ris
 # Plants, roofs and people.
 TALLEST_PLANT_M = 117.0  # the tallest tree stands at 116 m; birds and cables are above
 TALL_PLANT_M = 60.0  # few forests are higher: redwoods, firs and eucalypts of old growth
+GIANT_PLANT_M = 100.0  # where trees are above it, others are between
 FEW_PLANTS = 0.01  # of the pixels with plants
+FULL_COVER = 100  # per cent
 # Of the pixels around a city; Gothenburg 0.93, the same as elevations 0.06 and 0.07.
 LEAST_BARE = 0.1
 WIDEST_PIXEL_M = 30.0  # wider ones hold more than one building and streets
@@ -46,6 +48,7 @@ FEW_LOW, MOST_ABOVE = 0.01, 0.95  # but for slips; but for sheds, and ground tha
 LEAST_LEVEL_M = 25.0  # of the ground; below it houses may all be higher
 HOUSE_M = 25.0  # so far apart roofs of a raster are looked at, about one for each building
 MOST_PER_KM2 = 300_000  # the densest quarters of Hong Kong and Manila have about 100,000
+DENSEST_SHARE = 0.1  # of the blocks or pixels with people
 QUARTER_M2 = 1e6  # on less ground a few towers may hold as many
 
 
@@ -70,9 +73,9 @@ def filled_terrain(name: str, terrain: Raster, crs: str, box_m: Bounds) -> tuple
     if is_void.any():
         side_m = pixel_m(terrain, crs).min()
         step = max(1, int(FILL_M / side_m))
-        coarse = values[::step, ::step].copy()  # GDAL writes into it
+        sparse = values[::step, ::step].copy()  # GDAL writes into it
         reach = REACH_M / (step * side_m)  # in pixels
-        coarse = fillnodata(coarse, np.isfinite(coarse), reach, temp_file_driver="MEM")
+        coarse = fillnodata(sparse, np.isfinite(sparse), reach, temp_file_driver="MEM")
         fine = coarse.repeat(step, 0).repeat(step, 1)[: len(values), : values.shape[1]]
         filled = replace(terrain, values=np.where(is_void, fine, values))
 
@@ -124,29 +127,31 @@ def read_plants(path: str | Path, crs: str, near_m: Bounds, box_m: Bounds) -> Ra
             "-a_nodata VALUE`; name the unit with `gdal_edit.py -scale 0.1` of decimetres, with `-units m` of metres; "
             "a cover in per cent or a mask holds no heights"
         )
-    if 0 < np.nanmin(values, initial=np.inf) < np.inf:
-        plants = replace(plants, values=np.nan_to_num(values))
-    return plants
+    holds_plants_alone = 0 < np.nanmin(values, initial=np.inf) < np.inf
+    return replace(plants, values=np.nan_to_num(values)) if holds_plants_alone else plants
 
 
 def _are_heights(values: np.ndarray, unit: str) -> bool:
     """Return whether values ``[R, C]`` of a raster of plants may be heights in metres; its unit is empty if not said.
 
-    Masks and shares end at 1, and whole numbers of per cent at 100; what is piled up at the highest value is a code or
-    a full cover. GLAD's heights end at 60 m, and 101 to 103 are water, snow and no data. A forest above
-    `TALL_PLANT_M` is so rare that a file of whole metres of one must name its unit, unless it reaches above 100 m.
+    These are none: masks and shares, which end at 1; values above `TALLEST_PLANT_M` or far below 0; and codes above
+    `GIANT_PLANT_M` without a tall tree below, as GLAD's heights end at 60 m and 101 to 103 are water, snow and no data.
+
+    Many above `TALL_PLANT_M` are so rare in forests that a file of them must name its unit, if they may be per cent
+    (whole numbers to `FULL_COVER`), or if many are the highest value, as a code or a full cover is.
     """
     plants = values[values > GROUND_M]
-    tall = values[np.abs(values) > TALL_PLANT_M]
+    tall = values[np.abs(values) > TALL_PLANT_M]  # and what is as far below 0
     highest = np.nanmax(values, initial=0.0)
     if not len(tall):
-        return highest != 1
+        is_mask = highest == 1
+        return not is_mask
+    are_possible = highest <= TALLEST_PLANT_M and 0 < tall.min() <= GIANT_PLANT_M
     few = FEW_PLANTS * len(plants)
-    is_full = highest <= 100 and not np.any(plants % 1)
-    is_full |= np.sum(plants == highest) > few
-    is_unclear = is_full and not unit and len(tall) > few
-    # Where trees are above 100 m, others are between.
-    return highest <= TALLEST_PLANT_M and 0 < tall.min() <= 100 and not is_unclear
+    may_be_per_cent = highest <= FULL_COVER and not np.any(plants % 1)
+    is_piled_up = np.sum(plants == highest) > few
+    is_unclear = len(tall) > few and (may_be_per_cent or is_piled_up)
+    return are_possible and (bool(unit) or not is_unclear)
 
 
 def plants_guesses(name: str, plants: Raster, crs: str, box_m: Bounds) -> Guesses:
@@ -181,11 +186,11 @@ def check_are_heights(
     extent_m: Bounds,
     terrain: Raster | None,
 ) -> None:
-    """Raise InputError if the heights of buildings, of which there are `LEAST_BUILDINGS`, look like elevations.
+    """Raise InputError if the heights of `LEAST_BUILDINGS` or more buildings look like elevations above the sea.
 
-    Nearly all are higher than the ground lies above the sea there, and that is more than `LEAST_LEVEL_M`; or none is
-    below `HIGH_M`. What is above all buildings of the Earth, and so counts as unreadable, does too. Heights of few
-    buildings alone, as mappers give them to towers, say nothing.
+    They do where hardly one is below `HIGH_M`, or where nearly all are greater than the elevation of their ground and
+    the median of that is above `LEAST_LEVEL_M`. Heights above all buildings of the Earth, which count as unreadable,
+    are among them. Heights of few of the buildings, as mappers give them to towers, say nothing.
 
     Args:
       name: of the file of buildings, for messages.
@@ -270,16 +275,20 @@ def terrain_guesses(
 
 
 def check_people(people: np.ndarray, area_m2: np.ndarray) -> None:
-    """Raise InputError if a tenth of the blocks or pixels with people hold more of them than any quarter on the Earth.
+    """Raise InputError if the densest tenth of blocks or pixels holds more people than any part of a city on the Earth.
+
+    On less ground than `QUARTER_M2` all may be.
 
     Args:
       people: ``[N]`` number in each block.
       area_m2: ``[N]`` of the blocks.
     """
     per_km2 = 1e6 * people / area_m2
-    high = np.quantile(np.append(per_km2[people > 0], 0.0), 0.9)
-    if high > MOST_PER_KM2 and area_m2.sum() > QUARTER_M2:
+    or_none = np.append(per_km2[people > 0], 0.0)  # for blocks without anybody
+    high_per_km2 = np.quantile(or_none, 1 - DENSEST_SHARE)
+    if high_per_km2 > MOST_PER_KM2 and area_m2.sum() > QUARTER_M2:
         raise InputError(
-            f"the people of [population] blocks are {high:,.0f} per km2 or more in a tenth of the blocks or pixels, "
-            f"and no quarter has {MOST_PER_KM2:,}: give the number of people in each of them, not people per km2"
+            f"the people of [population] blocks are {high_per_km2:,.0f} per km2 or more in a tenth of the blocks or "
+            f"pixels, and no quarter has {MOST_PER_KM2:,}: give the number of people in each of them, not people per "
+            "km2"
         )

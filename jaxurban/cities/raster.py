@@ -46,7 +46,8 @@ TERRAIN_RANGE_M = (-500.0, 9000.0)
 _MARGIN_PIXELS = 2
 MOST_PIXELS = 2**30  # 4 GiB; some steps take twice as much again
 STRIP_PIXELS = 2**22  # at once
-MOST_PIXEL = 1e16  # area of a pixel, in its CRS's units: of a millionth of a metre to the Earth's
+# Of a pixel, in squares of the CRS's unit, and 1 by it is the least: from a millionth of a metre to the whole Earth.
+MOST_PIXEL_AREA = 1e16
 
 # What a file may call its vertical unit (lower case), in metres.
 _NAMES = {
@@ -112,10 +113,9 @@ def read_bands(
         `read_raster`.
     """
     name = repr(str(path))
-    are_heights = holds == HEIGHTS
+    unit_m = None
     with open_raster(path, holds) as source:
-        unit_m = 1.0
-        if are_heights:
+        if holds == HEIGHTS:
             unit_m = unit_of_heights_m(name, source.crs.to_wkt(), source.units[0])
         window = raster_window(name, source, crs, bounds_m)
         height, width = int(window.height), int(window.width)
@@ -129,24 +129,18 @@ def read_bands(
 
         # Strips of rows, so that memory holds only the result as a whole.
         bands = np.empty(shape, dtype)
-        most = max(1, STRIP_PIXELS // width)
+        strip_rows = max(1, STRIP_PIXELS // width)
         num_bad = 0
-        for row in range(0, height, most):
-            strip = Window(window.col_off, window.row_off + row, width, min(most, height - row))
-            stored = source.read(window=strip)  # [band, row, column]
-            is_empty = source.read_masks(window=strip) == 0
-            # Heights stay in float32 where the file has that: twice the precision would take twice the time.
-            kind = np.result_type(stored, 0.0) if are_heights else np.float64
-            scale, offset = np.array([source.scales, source.offsets], kind)[..., None, None]
-            values = (stored * scale + offset) * unit_m
-            is_bad = ~np.isfinite(values) & ~is_empty
+        for row in range(0, height, strip_rows):
+            num_rows = min(strip_rows, height - row)
+            strip = Window(window.col_off, window.row_off + row, width, num_rows)
+            bands[:, row : row + num_rows], is_bad = _read_strip(source, strip, unit_m)
             num_bad += is_bad.sum()
-            bands[:, row : row + most] = np.where(is_empty | is_bad, np.nan, values)
         transform = tuple(source.transform)[:6]
         raster_crs = _horizontal_crs(source)
 
     # Heights that are not finite are refused; other such values count as empty.
-    if are_heights and num_bad:
+    if unit_m is not None and num_bad:
         raise InputError(
             f"{name} holds {num_bad} cells that are NaN or infinite and not declared as nodata: fill them, or "
             "declare NaN with `gdal_edit.py -a_nodata nan`"
@@ -155,6 +149,28 @@ def read_bands(
         Raster(band, transform, raster_crs, int(window.row_off), int(window.col_off))
         for band in bands
     ]
+
+
+def _read_strip(
+    source: rasterio.DatasetReader, strip: Window, unit_m: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the values of a window ``[B, Y, X]``, NaN without data, and which are not finite and not declared empty.
+
+    Args:
+      source: the open raster.
+      strip: the window.
+      unit_m: metres in a unit of heights; None of other values.
+    """
+    stored = source.read(window=strip)
+    is_empty = source.read_masks(window=strip) == 0
+    # Heights stay in float32 where the file has that: twice the precision would take twice the time.
+    precision = np.float64 if unit_m is None else np.result_type(stored, 0.0)
+    scale, offset = np.array([source.scales, source.offsets], precision)
+    values = stored * scale[:, None, None] + offset[:, None, None]
+    if unit_m is not None:
+        values *= unit_m
+    is_bad = ~np.isfinite(values) & ~is_empty
+    return np.where(is_empty | is_bad, np.nan, values), is_bad
 
 
 def check_range(name: str, values: np.ndarray, range_m: tuple[float, float]) -> None:
@@ -225,11 +241,9 @@ def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.Dat
                 raise InputError(
                     f"{name} has no CRS or no position: set them with `gdal_edit.py -a_srs EPSG:... -a_ullr ...`"
                 )
-            pixel_area = source.transform.determinant
-            if not (
-                np.isfinite(source.transform).all()
-                and MOST_PIXEL > abs(pixel_area) > 1 / MOST_PIXEL
-            ):
+            pixel_area = abs(source.transform.determinant)
+            has_area = 1 / MOST_PIXEL_AREA < pixel_area < MOST_PIXEL_AREA
+            if not (has_area and np.isfinite(source.transform).all()):
                 raise InputError(
                     f"{name} has pixels without area, or out of range, by its geotransform "
                     f"{source.transform[:6]}: set its position with `gdal_edit.py -a_ullr ...`"
@@ -446,13 +460,10 @@ def _raised_share(raster: Raster, crs: str) -> float:
     samples = blocks[..., :: -(-height // SAMPLES_A_SIDE), :: -(-width // SAMPLES_A_SIDE)]
 
     # A block a row, its samples sorted with NaN last.
-    values = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)
-    num_finite = np.isfinite(values).sum(axis=1)
-    is_known = num_finite >= values.shape[1] / 4
-    values = values[is_known]
-    num_finite = num_finite[is_known]
-    block = np.arange(len(values))
-    low_m = values[block, (LOW_SHARE * num_finite).astype(int)]
-    high_m = values[block, num_finite - 1]
+    by_block = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)
+    num_finite = np.isfinite(by_block).sum(axis=1)
+    known = np.flatnonzero(num_finite >= by_block.shape[1] / 4)
+    low_m = by_block[known, (LOW_SHARE * num_finite[known]).astype(int)]
+    high_m = by_block[known, num_finite[known] - 1]
     level_m = low_m[high_m - low_m >= RELIEF_M]
     return float(np.mean(np.abs(level_m) > GROUND_M)) if len(level_m) else 0.0

@@ -56,7 +56,14 @@ MIN_ROWS = 7  # of street blocks in a box
 STREET_SHARE = 0.45  # of the pitch from street to street
 LOTS = (4, 2)  # of a street block
 VACANT_SHARE = 0.15  # of lots
-TALLEST_M = 390.0
+INSET_SHARE = (0.02, 0.1)  # of a lot, between its border and the house
+LOWEST_M, TALLEST_M = 5, 390.0
+# Heights: their median far from downtown, how much more it is in the middle of it, and how they spread (log-normal).
+HOUSE_M, HOUSE_MORE_M, HOUSE_SPREAD = 10, 15, 0.5
+TOWER_M, TOWER_MORE_M, TOWER_SPREAD = 45, 100, 0.42
+# The chance of a tower is the first times the depth in downtown, less the second.
+TOWER_SLOPE, TOWER_LESS = 1.2, 0.1
+SHAFT_INSET_SHARE, SHAFT_SHARE = 0.2, 0.6  # of a lot
 MIN_BLOCK_M2 = 200.0  # smaller corners of blocks, which the box cuts off, are left out
 PEOPLE = (10, 70)  # by night, in each building
 NUM_BANDS = 6  # from south to north, of two districts each
@@ -204,24 +211,31 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
     plan = _Plan(extent_m)
 
     # Street blocks out to the middle of their streets, as far as they lie in the box; none in the river and the park.
-    num_rows = math.ceil(plan.box.length / 4 / min(plan.pitch_m))  # more than half the diagonal
+    side_m = (
+        plan.box.length / 4
+    )  # the mean of both, so that the rows reach beyond half the diagonal
+    num_rows = math.ceil(side_m / min(plan.pitch_m))
     steps = np.indices((2 * num_rows, 2 * num_rows)).reshape(2, -1).T - num_rows
-    low_m = steps * plan.pitch_m
-    whole = plan.rectangles(low_m, low_m + plan.pitch_m)
+    corners_m = steps * plan.pitch_m
+    whole = plan.rectangles(corners_m, corners_m + plan.pitch_m)
     outlines = shapely.clip_by_rect(whole, *extent_m)
-    is_open = shapely.intersects(plan.river | plan.park, shapely.centroid(whole))
-    is_block = ~is_open & (shapely.area(outlines) > MIN_BLOCK_M2)
-    low_m = low_m[is_block]
-    buildings, block = _buildings(plan, low_m, rng)
+    is_green = shapely.intersects(plan.river | plan.park, shapely.centroid(whole))
+    is_block = ~is_green & (shapely.area(outlines) > MIN_BLOCK_M2)
+    low_m = corners_m[is_block]
 
-    # Districts by their place; the park comes last, a block without people.
+    # Random numbers are drawn in one order, of which the city depends: for the buildings, then for people.
+    buildings, block = _buildings(plan, low_m, rng)
+    people = rng.uniform(*PEOPLE, len(block))
+
+    # Districts by their place, from the south 1, 3 .. in the west and 2, 4 .. in the east. The park comes last, a block
+    # without people.
     across, along = ((low_m + plan.pitch_m / 2) / plan.reach_m).T
     band = np.floor((along + 1) / 2 * NUM_BANDS).clip(0, NUM_BANDS - 1)
-    district = np.where(across < RIVER_ACROSS, OTHER_DISTRICT, 1 + 2 * band + (across > 0))
-    district = np.append(district, OTHER_DISTRICT).astype(np.int32)
+    is_east = across > 0
+    by_place = np.where(across < RIVER_ACROSS, OTHER_DISTRICT, 1 + 2 * band + is_east)
+    district = np.append(by_place, OTHER_DISTRICT).astype(np.int32)
     zoning = np.where(district <= NUM_COMMERCIAL, Zoning.COMMERCIAL, Zoning.RESIDENTIAL)
     zoning[district == OTHER_DISTRICT] = Zoning.OTHER
-    people = rng.uniform(*PEOPLE, len(block))
     return City(
         crs=crs,
         extent_m=extent_m,
@@ -245,9 +259,8 @@ def _buildings(
     Args:
       plan: of the city.
       block_m: ``[N, 2]`` lower corners of the street blocks, metres across and along the avenues.
-      rng: the source of random numbers.
+      rng: the source of random numbers, whose order makes the city: chances, insets, houses, towers.
     """
-    # Lots, of which some are vacant; most of those downtown hold a tower.
     street_m = STREET_SHARE * plan.pitch_m.min()
     lot_m = (plan.pitch_m - street_m) / LOTS
     places = np.indices(LOTS).reshape(2, -1).T
@@ -256,29 +269,32 @@ def _buildings(
     from_downtown = (low_m + lot_m / 2) / plan.reach_m - DOWNTOWN
     # How far downtown each lot lies: 1 in its middle, falling to 0 (a Gaussian).
     depth = np.exp(-np.sum((from_downtown / DOWNTOWN_RADIUS) ** 2, axis=1))
-    chance = rng.random(num_lots)
-    has_tower = chance < 1.2 * depth - 0.1
 
-    # Houses, whose heights spread around a median; none is cut by the edge of the box.
-    inset_m = rng.uniform(0.02, 0.1, (2, num_lots, 2)) * lot_m
+    # By one chance a lot has a tower, downtown as a rule, or is vacant; no house is cut by the edge of the box.
+    chance = rng.random(num_lots)
+    is_towers = chance < TOWER_SLOPE * depth - TOWER_LESS
+    is_occupied = is_towers | (chance < 1 - VACANT_SHARE)
+    inset_m = rng.uniform(*INSET_SHARE, (2, num_lots, 2)) * lot_m
     houses = plan.rectangles(low_m + inset_m[0], low_m + lot_m - inset_m[1])
-    height_m = (10 + 15 * depth) * np.exp(0.5 * rng.standard_normal(num_lots))
-    is_built = (has_tower | (chance < 1 - VACANT_SHARE)) & shapely.contains(plan.box, houses)
+    median_house_m = HOUSE_M + HOUSE_MORE_M * depth
+    house_m = median_house_m * np.exp(HOUSE_SPREAD * rng.standard_normal(num_lots))
+    is_built = is_occupied & shapely.contains(plan.box, houses)
 
     # A tower is a shaft on a house, as a part of it. One is the tallest.
-    has_tower &= is_built
-    shaft_low_m = low_m[has_tower] + 0.2 * lot_m
-    shafts = plan.rectangles(shaft_low_m, shaft_low_m + 0.6 * lot_m)
-    top_m = (45 + 100 * depth[has_tower]) * np.exp(0.42 * rng.standard_normal(len(shafts)))
-    top_m[np.argmax(top_m)] = TALLEST_M
+    has_tower = is_towers & is_built
+    shaft_low_m = low_m[has_tower] + SHAFT_INSET_SHARE * lot_m
+    shafts = plan.rectangles(shaft_low_m, shaft_low_m + SHAFT_SHARE * lot_m)
+    median_tower_m = TOWER_M + TOWER_MORE_M * depth[has_tower]
+    tower_m = median_tower_m * np.exp(TOWER_SPREAD * rng.standard_normal(len(shafts)))
+    tower_m[np.argmax(tower_m)] = TALLEST_M
 
-    block = np.repeat(np.arange(len(block_m)), len(places))
-    is_part = np.repeat([False, True], [is_built.sum(), len(shafts)])
+    # Houses, then shafts.
+    lot = np.r_[np.flatnonzero(is_built), np.flatnonzero(has_tower)]
     buildings = Footprints(
         polygons=np.r_[houses[is_built], shafts],
-        height_m=np.r_[height_m[is_built], top_m].clip(5, TALLEST_M).round(1),
-        min_height_m=np.zeros(len(is_part)),
-        origin=np.full(len(is_part), HeightOrigin.GENERATED, np.uint8),
-        is_part=is_part,
+        height_m=np.r_[house_m[is_built], tower_m].clip(LOWEST_M, TALLEST_M).round(1),
+        min_height_m=np.zeros(len(lot)),
+        origin=np.full(len(lot), HeightOrigin.GENERATED, np.uint8),
+        is_part=np.arange(len(lot)) >= is_built.sum(),
     )
-    return buildings, np.r_[block[is_built], block[has_tower]]
+    return buildings, lot // len(places)

@@ -57,23 +57,9 @@ def read_tiles(
     tables = []
     kinds = {}  # of each file by its name
     for name, tile in _files(path, str(path)):
-        try:
-            kind = "" if tile.suffix.lower() in BESIDE else sniff(tile)
-        except InputError as error:
-            raise InputError(str(error).replace(str(tile), name)) from error
-        if kind == ARCHIVE:  # that `_files` could not open
-            raise InputError(f"{name!r} is an archive that is damaged: fetch it again")
-        kinds[name] = kind
+        kind = kinds[name] = _tile_kind(name, tile)
         if kind in READERS:
-            with (
-                readable(tile, "a city model", "fetch it again", ExpatError, what=repr(name)),
-                unpacked(tile) as plain,
-            ):
-                try:
-                    with in_own_words():
-                        bodies += READERS[kind](plain, crs_names)
-                except InputError as error:
-                    raise InputError(f"{name!r} {error}") from error
+            bodies += _read_model(name, tile, kind, crs_names)
         elif kind in VECTOR_SUFFIXES:
             tables.append(read_vector(tile, near, file, crs))
     if bodies:
@@ -94,6 +80,49 @@ def read_tiles(
             GuessWarning,
         )
     return joined_outlines(path, tables)
+
+
+def _tile_kind(name: str, tile: Path) -> str:
+    """Return what a file is, as of `sniff`; nothing of what stands beside others (`BESIDE`).
+
+    Args:
+      name: of the file, for messages.
+      tile: its path, or that of its content in an archive.
+
+    Raises:
+      InputError: a format that is known and not read, or an archive that `_files` could not open.
+    """
+    if tile.suffix.lower() in BESIDE:
+        return ""
+    try:
+        kind = sniff(tile)
+    except InputError as error:
+        raise InputError(str(error).replace(str(tile), name)) from error
+    if kind == ARCHIVE:
+        raise InputError(f"{name!r} is an archive that is damaged: fetch it again")
+    return kind
+
+
+def _read_model(name: str, tile: Path, kind: str, crs_names: set[str]) -> list[dict[str, Any]]:
+    """Return the bodies of a city model (see `bodies_of`).
+
+    Args:
+      name, tile: as of `_tile_kind`; the model may be packed.
+      kind: its format, of `READERS`.
+      crs_names: gets what the model names as its CRS.
+
+    Raises:
+      InputError: it cannot be read.
+    """
+    with (
+        readable(tile, "a city model", "fetch it again", ExpatError, what=repr(name)),
+        unpacked(tile) as plain,
+    ):
+        try:
+            with in_own_words():
+                return list(READERS[kind](plain, crs_names))
+        except InputError as error:
+            raise InputError(f"{name!r} {error}") from error
 
 
 def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[str, Path]]:
@@ -128,14 +157,14 @@ def _files(path: Path, name: str, room: int = MOST_UNPACKED) -> Iterator[tuple[s
             scratch_folder() as folder,
             zipfile.ZipFile(path) as archive,
         ):
-            room = min(room, most_unpacked(path))
-            room -= sum(each.file_size + MEMBER_BYTES for each in archive.infolist())
-            if room < 0:
+            num_bytes = sum(member.file_size + MEMBER_BYTES for member in archive.infolist())
+            rest_of_room = min(room, most_unpacked(path)) - num_bytes
+            if rest_of_room < 0:
                 raise ValueError(
                     f"it unpacks to more than {MOST_TIMES} times its size or {MOST_UNPACKED / 2**30:g} GiB, with "
                     f"{MEMBER_BYTES >> 10} kB for each of its {len(archive.infolist()):,} files"
                 )
             archive.extractall(folder)
-            yield from _files(folder, name, room)
+            yield from _files(folder, name, rest_of_room)
     else:
         yield name, path

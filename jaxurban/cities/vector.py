@@ -123,18 +123,17 @@ def _read(
         kind = _checked_format(Path(path), plain)
         with in_own_words(), _alone():
             if kind == ".parquet":
-                frames = [_read_parquet(plain, named)]
+                layers: list[pd.DataFrame] = [_read_parquet(plain, named)]
             elif every_layer:
-                frames = _every_layer(plain, kind)
+                layers = _every_layer(plain, kind)
             else:
                 is_by_box = crs is None and kind in INDEXED_SUFFIXES
-                frames = [
-                    _one_layer(plain, kind, name, role, near if is_by_box else None, named or ())
-                ]
+                region = near if is_by_box else None
+                layers = [_polygon_layers(plain, kind, name, role, region, named or ())]
             if kind == ".geojsonl" and not every_layer:
-                _check_lines(plain, sum(map(len, frames)))
+                _check_lines(plain, sum(map(len, layers)))
 
-    frames = [frame for frame in frames if isinstance(frame, gpd.GeoDataFrame)]
+    frames = [layer for layer in layers if isinstance(layer, gpd.GeoDataFrame)]
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
@@ -144,6 +143,9 @@ def _read(
                 f"{name} has several columns called {twice[0]!r}: rename or leave out all but one"
             )
         _place(name, frame, kind, crs)
+        for column in frame.columns.difference([frame.geometry.name]):
+            if pd.api.types.is_object_dtype(frame[column]):
+                frame[column] = frame[column].map(_scalar)
     return frames
 
 
@@ -165,10 +167,12 @@ def _every_layer(path: Path, kind: str) -> list[pd.DataFrame]:
     return [_features(source, layer, options) for layer, _ in pyogrio.list_layers(source)]
 
 
-def _one_layer(
+def _polygon_layers(
     path: Path, kind: str, name: str, role: str, near: Near | None, named: Collection[str]
 ) -> pd.DataFrame:
-    """Return the features of the layer of polygons, those of buildings with the faces of solids.
+    """Return the features of the layer of polygons and of those that go with it (see `_layers_of`).
+
+    Solids of buildings come with their faces.
 
     Args:
       path, kind: of the file, unpacked, and its format.
@@ -176,17 +180,22 @@ def _one_layer(
       role, near, named: as of `_read`; features that are not near are left out.
     """
     source: str | bytes = DRIVERS[kind] + str(path) if kind in DRIVERS else openable(str(path))
+    lacks_solids = role == BUILDINGS and isinstance(source, str)  # a stream brings them
     frames = []
     for layer in _layers_of(source, name, role):
         options = OPTIONS | (CSV_OPTIONS if kind == ".csv" else {})
         if near is not None:
             options |= _only_near(source, layer, near, named)
         frame = _features(source, layer, options)
-        if role == BUILDINGS and isinstance(source, str):
+        if lacks_solids:
             _fill_solids(frame, str(path), kind, layer, options)
         frames.append(frame)
+
+    # pandas warns where empty columns are joined with others, as they may decide the type.
     filled = [frame.dropna(axis=1, how="all") for frame in frames if len(frame)]
-    return pd.concat(filled, ignore_index=True) if filled and len(frames) > 1 else frames[0]
+    if len(frames) == 1 or not filled:
+        return frames[0]
+    return pd.concat(filled, ignore_index=True)
 
 
 def _features(source: str | bytes, layer: str | None, options: Mapping[str, Any]) -> pd.DataFrame:
@@ -219,31 +228,38 @@ def _fill_solids(
 def _read_parquet(path: Path, named: Collection[str] | None) -> gpd.GeoDataFrame:
     """Return the features of a GeoParquet file, with the facts of its metadata as ``attrs``.
 
+    Without metadata of GeoParquet shapes are WKB in the first binary column, without a CRS.
+
     Args:
       path: to read.
       named: read only geometries, these columns, and those that describe buildings (`is_of_buildings`); None: all.
-
-    Without metadata of GeoParquet shapes are WKB in the first binary column, without a CRS.
     """
     import pyarrow.parquet as pq  # imported here: it takes 0.1 s to load, for which other formats need not wait
 
     schema = pq.read_schema(path)
     facts = (schema.metadata or {}).get(b"geo")
-    shapes = json.loads(facts or b"{}").get("columns", {})
     if facts is None:
         shapes = [field.name for field in schema if "binary" in str(field.type)][:1]
-    columns = schema.names
-    if named is not None:
-        columns = [name for name in columns if name in shapes or is_of_buildings(name, named)]
-    if facts is None:
-        frame = pd.read_parquet(path, columns=columns)
-        for name in shapes:
-            frame = gpd.GeoDataFrame(frame, geometry=gpd.GeoSeries.from_wkb(frame[name]))
+        frame = pd.read_parquet(path, columns=_columns_to_read(schema.names, shapes, named))
+        if shapes:
+            frame = gpd.GeoDataFrame(frame, geometry=gpd.GeoSeries.from_wkb(frame[shapes[0]]))
         frame.attrs[SAYS_CRS] = False
         return frame
-    frame = read_geoparquet(path, columns)
+
+    shapes = json.loads(facts or b"{}").get("columns", {})
+    frame = read_geoparquet(path, _columns_to_read(schema.names, shapes, named))
+    # Columns that pandas wrote as an index.
     index = [name for name in frame.index.names if name is not None and name not in frame.columns]
-    return frame.reset_index(level=index)  # pandas wrote it as an index
+    return frame.reset_index(level=index)
+
+
+def _columns_to_read(
+    names: list[str], shapes: Collection[str], named: Collection[str] | None
+) -> list[str]:
+    """Return which columns to read: shapes, and others by ``named`` as of `_read_parquet`."""
+    if named is None:
+        return names
+    return [name for name in names if name in shapes or is_of_buildings(name, named)]
 
 
 def _checked_format(path: Path, plain: Path) -> str:
@@ -302,36 +318,51 @@ def _check_views(path: Path) -> None:
 def _check_json(path: Path) -> None:
     """Raise ValueError where JSON is not in UTF-8, or refers to what GDAL would open: by a CRS, to servers too.
 
-    It is read in pieces; the end of each is looked at with the next, from a CRS on that has no end yet.
+    Each piece is looked at with the end of the one before: its last letters, as a word may lie across both, or all
+    from a CRS on that does not end in it.
     """
-    decoder = getincrementaldecoder("utf-8")()
     rest = ""
+    for piece in _pieces_of_json(path):
+        text = _plain_json(rest + piece)
+        open_crs = _check_crs_members(text)
+        _check_refers(REFERRING, text)
+        last_letters = max(len(text) - MOST_OF_WORD, 0)
+        rest = text[min(open_crs, last_letters) :]
+        if len(rest) > MOST_OF_CRS:
+            break
+    if len(rest) > MOST_OF_WORD:  # so that it begins with a CRS
+        raise ValueError(f"it has a CRS without an end, or of more than {MOST_OF_CRS:,} characters")
+
+
+def _pieces_of_json(path: Path) -> Iterator[str]:
+    """Yield the text of a file in pieces; ValueError where it is not in UTF-8."""
+    decoder = getincrementaldecoder("utf-8")()
     with path.open("rb") as file:
         while piece := file.read(HEAD_BYTES):
             try:
-                text = rest + decoder.decode(piece)
+                yield decoder.decode(piece)
             except UnicodeDecodeError:
                 raise ValueError(
                     "it is not in UTF-8: convert it, as with `iconv -f LATIN1 -t UTF-8`"
                 ) from None
-            text = ESCAPE.sub(lambda match: chr(int(match[1], 16)), text).lower()
-            if '"crs"' in text:
-                text = BLANKS.sub(" ", text)
-            begin = max(len(text) - MOST_OF_WORD, 0)
-            for member in MEMBER.finditer(text):
-                try:
-                    crs, end = json.JSONDecoder().raw_decode(text, member.end())
-                except (json.JSONDecodeError, RecursionError):
-                    begin = min(begin, member.start())
-                    break
-                _check_refers(LINK, text[member.end() : end])
-                _check_refers(OPENS_FILE, str(crs))
-            _check_refers(REFERRING, text)
-            rest = text[begin:]
-            if len(rest) > MOST_OF_CRS:
-                break
-    if len(rest) > MOST_OF_WORD:
-        raise ValueError(f"it has a CRS without an end, or of more than {MOST_OF_CRS:,} characters")
+
+
+def _plain_json(text: str) -> str:
+    """Return JSON in small letters, those in digits too, and near a CRS with one blank for several."""
+    plain = ESCAPE.sub(lambda match: chr(int(match[1], 16)), text).lower()
+    return BLANKS.sub(" ", plain) if '"crs"' in plain else plain
+
+
+def _check_crs_members(text: str) -> int:
+    """Return where a CRS begins that does not end in a text, or else the end; ValueError where one refers to others."""
+    for member in MEMBER.finditer(text):
+        try:
+            crs, end = json.JSONDecoder().raw_decode(text, member.end())
+        except (json.JSONDecodeError, RecursionError):
+            return member.start()
+        _check_refers(LINK, text[member.end() : end])
+        _check_refers(OPENS_FILE, str(crs))
+    return len(text)
 
 
 def _check_lines(path: Path, num_read: int) -> None:
@@ -352,7 +383,7 @@ def _check_refers(pattern: re.Pattern[str], text: str) -> None:
 
 
 def _place(name: str, frame: gpd.GeoDataFrame, kind: str, crs: str | None) -> None:
-    """Give a frame its CRS, check its place on the Earth, and make text of columns beside numbers and text.
+    """Give a frame its CRS, and check its place on the Earth.
 
     Args:
       name: of the file, for messages.
@@ -372,9 +403,6 @@ def _place(name: str, frame: gpd.GeoDataFrame, kind: str, crs: str | None) -> No
             "others with `ogr2ogr -s_srs EPSG:... -t_srs EPSG:4326 OUT IN`, or set [buildings] crs of buildings",
             GuessWarning,
         )
-    for column in frame.columns.difference([frame.geometry.name]):
-        if pd.api.types.is_object_dtype(frame[column]):
-            frame[column] = frame[column].map(_scalar)
     if frame.crs is None:
         raise InputError(
             f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
@@ -413,7 +441,7 @@ def _only_near(
 
 
 def _layers_of(source: str | bytes, name: str, role: str) -> list[str]:
-    """Return the layer of polygons in what pyogrio opens, which messages call ``name``.
+    """Return the layer of polygons in what pyogrio opens, and layers that go with it; messages call it ``name``.
 
     It is the only layer, else the only one that may hold polygons, else the one of these that is called ``role``. With
     that of buildings go those of lines and points that GDAL makes of OpenStreetMap.
@@ -429,23 +457,22 @@ def _layers_of(source: str | bytes, name: str, role: str) -> list[str]:
         for layer, kind in layers.items()
         if "Polygon" in kind or "Unknown" in kind or "Surface" in kind
     ]
-    if len(areal) != 1:
-        areal = [layer for layer in areal if layer.lower() == role]
-    if len(areal) != 1:
+    chosen = areal if len(areal) == 1 else [layer for layer in areal if layer.lower() == role]
+    if len(chosen) != 1:
         raise InputError(
             f"{name} has the layers {', '.join(layers) or 'none'}: call the one of polygons "
             f"{role!r}, or write it to a file of its own with `ogr2ogr OUT IN LAYER`"
         )
-    if role == BUILDINGS and areal == ["multipolygons"]:
-        return areal + [layer for layer in ("lines", "points") if layer in layers]
-    others = [layer for layer, kind in layers.items() if kind != "None" and layer not in areal]
+    if role == BUILDINGS and chosen == ["multipolygons"]:
+        return chosen + [layer for layer in ("lines", "points") if layer in layers]
+    others = [layer for layer, kind in layers.items() if kind != "None" and layer not in chosen]
     if role == BUILDINGS and others:
         warn(
-            f"{name} is read from its layer {areal[0]!r} alone: what stands in {', '.join(map(repr, others))} is left "
+            f"{name} is read from its layer {chosen[0]!r} alone: what stands in {', '.join(map(repr, others))} is left "
             "out; if anything does, put it into that layer with `ogr2ogr -append`",
             GuessWarning,
         )
-    return areal
+    return chosen
 
 
 def read_vector(
@@ -476,7 +503,7 @@ def read_vector(
     """
     named = [] if file is None else named_columns(file)
     (frame,) = _read(path, BUILDINGS, near=near, named=named, crs=crs)
-    facts = frame.attrs  # empty of files that are not ours
+    facts = frame.attrs  # empty of files that are not ours; joined frames lose them
     if beside is not None:
         frame = pd.concat([frame, *_read(beside, BUILDINGS)], ignore_index=True)
     box = None if near is None else near.box_in(frame.crs.to_wkt())
