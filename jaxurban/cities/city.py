@@ -410,20 +410,7 @@ def read_buildings(
         one_of("a kind of highest_m", kind, ALL_KINDS)
     path = Path(file.source)
     read = _reader_of(path, file.crs)
-
-    # Settings that are meant for files of another kind are refused.
-    is_misplaced = {
-        'hanging = "slabs" is for outlines': file.hanging == SLABS and read is None,
-        'kind = "surface" is for rasters': file.kind == "surface" and read is not None,
-        "crs is for outlines and lidar points": file.crs is not None
-        and (read is _read_osm or (read is None and sniff(path) != LIDAR)),
-        "heights is for outlines": file.heights is not None and read is None,
-        COLUMNS_SAID: bool(named_columns(file)) and read in (None, _read_osm),
-    }
-    for what, is_wrong in is_misplaced.items():
-        if is_wrong:
-            raise InputError(f"[buildings] {what}, and {str(path)!r} is none: leave it out")
-
+    _check_settings_fit(file, read)
     if read is None:
         return _read_roofs(file, crs, bounds_m, terrain)
     if beside is not None:
@@ -438,6 +425,31 @@ def read_buildings(
             return city
     # A file without a building near the region is read whole, so that all it covers is known.
     return _city_of(file, read(path, None, file), crs, bounds_m, is_small)
+
+
+def _check_settings_fit(file: settings.Buildings, read: OutlineReader | None) -> None:
+    """Raise InputError if settings are meant for a file of another kind.
+
+    Args:
+      file: the settings.
+      read: as of `_reader_of`.
+    """
+    is_raster = read is None
+    is_osm_file = read is _read_osm
+    is_lidar = is_raster and sniff(file.source) == LIDAR
+    meant_for = ""
+    if is_raster and file.hanging == SLABS:
+        meant_for = 'hanging = "slabs" is for outlines'
+    elif not is_raster and file.kind == "surface":
+        meant_for = 'kind = "surface" is for rasters'
+    elif file.crs is not None and (is_osm_file or (is_raster and not is_lidar)):
+        meant_for = "crs is for outlines and lidar points"
+    elif is_raster and file.heights is not None:
+        meant_for = "heights is for outlines"
+    elif (is_raster or is_osm_file) and named_columns(file):
+        meant_for = COLUMNS_SAID
+    if meant_for:
+        raise InputError(f"[buildings] {meant_for}, and {str(file.source)!r} is none: leave it out")
 
 
 def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
@@ -646,25 +658,29 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
     is_inside = shapely.covers(declared, polygons)
     is_apart = ~shapely.intersects(declared, polygons)
     on_border = shapely.box(*shapely.bounds(polygons[~is_inside & ~is_apart]).T)
-    declared = shapely.union_all([declared, *on_border])
-    bounds = shapely.bounds(polygons[is_apart])
-    if not len(bounds):
-        return declared
+    known = shapely.union_all([declared, *on_border])
+    apart = polygons[is_apart]
+    if not len(apart):
+        return known
+    return shapely.union_all([known, *_settlements(shapely.bounds(apart))])
 
-    # Settlements: the square bins that hold the centre of any other outline and touch each other, grown by a metre so
-    # that those that touch at a corner are joined too.
+
+def _settlements(bounds: np.ndarray) -> np.ndarray:
+    """Return a box around the outlines of each settlement: of those whose centres lie in square bins that touch.
+
+    Args:
+      bounds: ``[N, 4]`` of outlines.
+    """
     centre = (bounds[:, :2] + bounds[:, 2:]) / 2
-    bins = pd.DataFrame(np.floor(centre / GAP_M))
-    bin_of = bins.groupby([0, 1], sort=False).ngroup().to_numpy()
-    corner = bins.drop_duplicates().to_numpy() * GAP_M
+    bins, bin_of = np.unique(np.floor(centre / GAP_M), axis=0, return_inverse=True)
+    corner = bins * GAP_M
+    # Grown by a metre, so that bins that touch at a corner are joined too.
     grown = shapely.box(*(corner - 1.0).T, *(corner + GAP_M + 1.0).T)
-    settlements = shapely.get_parts(shapely.union_all(grown))
-
-    # The box around all outlines of each settlement.
-    _, settlement = shapely.STRtree(settlements).query(shapely.points(corner), predicate="within")
-    by_settlement = pd.DataFrame(bounds).groupby(settlement[bin_of])
+    joined = shapely.get_parts(shapely.union_all(grown))
+    _, settlement_of_bin = shapely.STRtree(joined).query(shapely.points(corner), predicate="within")
+    by_settlement = pd.DataFrame(bounds).groupby(settlement_of_bin[bin_of])
     hulls = by_settlement.agg({0: "min", 1: "min", 2: "max", 3: "max"})
-    return shapely.union_all([declared, *shapely.box(*hulls.to_numpy().T)])
+    return shapely.box(*hulls.to_numpy().T)
 
 
 def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:

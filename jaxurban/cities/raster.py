@@ -273,6 +273,9 @@ def _horizontal_crs(source: rasterio.DatasetReader) -> str:
     return crs.sub_crs_list[0].to_wkt() if crs.is_compound else name
 
 
+SAME_UNIT = 1e-9  # metres between two units that are one
+
+
 def unit_of_heights_m(name: str, crs: str, written: str | None) -> float:
     """Return the metres in one unit of a file's heights.
 
@@ -289,18 +292,23 @@ def unit_of_heights_m(name: str, crs: str, written: str | None) -> float:
     """
     parsed = known_crs(crs)
     axes = parsed.axis_info
-    units_m = [UNITS_M.get(written.strip().lower(), math.nan)] if written else []
-    units_m += [axis.unit_conversion_factor for axis in axes[2:] if axis.direction == "up"]
-    is_clear = not parsed.is_projected or abs(axes[0].unit_conversion_factor - 1.0) < 1e-9
-    if units_m:
-        is_clear = np.ptp(units_m) <= 1e-9  # False of NaN, an unknown name
-    if not is_clear:
+    said_m = [axis.unit_conversion_factor for axis in axes[2:] if axis.direction == "up"]
+    is_known = True
+    if written:
+        unit = written.strip().lower()
+        is_known = unit in UNITS_M
+        said_m.insert(0, UNITS_M.get(unit, 1.0))
+    elif not said_m and parsed.is_projected:
+        is_known = abs(axes[0].unit_conversion_factor - 1.0) < SAME_UNIT
+    unit_m = said_m[0] if said_m else 1.0
+    agree = all(abs(other_m - unit_m) <= SAME_UNIT for other_m in said_m)
+    if not (is_known and agree):
         raise InputError(
             f"{name} does not say plainly in which unit its heights are (it says {written!r}, and its CRS "
             f"{', '.join(axis.unit_name for axis in axes)}): say it with `gdal_edit.py -units m` (or ft, or 'US survey "
             'foot\'), or for lidar points with a CRS of heights in [buildings] crs, as in "EPSG:2263+6360"'
         )
-    return units_m[0] if units_m else 1.0
+    return unit_m
 
 
 def raster_window(

@@ -87,8 +87,12 @@ def to_structures(
     """
     spans = in_spans(outlines)
     others, learned = _others_of(spans, file, waters, learns)
-    on_roofs, names_building = _on_roofs(_structures(others), spans, buildings)
-    rows = with_supports(on_roofs, spans.polygons)  # still one for each of the spans
+    found = _structures(others)
+    roof_m = _roofs_below_m(found, spans.polygons, buildings)
+    rows = with_supports(
+        _on_roofs(found, roof_m), spans.polygons
+    )  # still one for each of the spans
+    names_building = _names_building(found, spans) & (roof_m > 0)
     has_no_height = (rows.height_m == 0) & (rows.kinds != UNKNOWN)
     structures = rows.take(~has_no_height & ~names_building).joined(_guys(rows, spans))
     is_unknown = structures.kinds == UNKNOWN
@@ -317,30 +321,43 @@ def _guys(structures: Footprints, outlines: Outlines) -> Footprints:
     )
 
 
-def _on_roofs(
-    structures: Footprints, outlines: Outlines, buildings: Footprints
-) -> tuple[Footprints, np.ndarray]:
-    """Return structures of which points within buildings may stand on roofs, and which merely name these.
+def _roofs_below_m(structures: Footprints, shapes: np.ndarray, buildings: Footprints) -> np.ndarray:
+    """Return ``[N]`` the bound of the highest building in which a point lies that may stand on it, 0 of all else.
 
-    Whether a height counts from the roof or from the ground is not known unless there is an underside: the higher is a
-    bound; a tree stands in a yard. A point of a building, or of what is historic, names its building, ``[N]`` bool.
+    A tree stands in a yard, and what has an underside says itself where it stands.
 
     Args:
       structures: ``N`` of them.
-      outlines: ``N`` that they were made of, before they had an extent.
+      shapes: ``[N]`` what they were before they had an extent.
       buildings: with their bounds.
     """
-    shapes = outlines.polygons
     roof_m = np.zeros(len(shapes))
     point, building = shapely.STRtree(buildings.polygons).query(shapes, predicate="within")
     np.maximum.at(roof_m, point, buildings.upper_m[building])
-    is_on = (roof_m > 0) & (shapely.get_dimensions(shapes) == 0) & (structures.min_height_m == 0)
-    is_on &= ~np.isin(structures.kinds, PLANTS)
-    limit_m = structures.upper_m + np.where(is_on, roof_m, 0.0)
-    origin = structures.origin.copy()
-    origin[is_on & ~structures.is_guessed] = HeightOrigin.ROUGH
-    likely_m = np.where(is_on, np.inf, structures.likelies_m)
-    on_roofs = replace(structures, limit_m=limit_m, origin=origin, likely_m=likely_m)
-    verdicts = outlines.tags["verdict"]
-    names_it = np.array([each in (HULL, HISTORIC, MONUMENT) for each in verdicts], bool)
-    return on_roofs, is_on & names_it & (structures.kinds == UNKNOWN)
+    may_be_on = (shapely.get_dimensions(shapes) == 0) & (structures.min_height_m == 0)
+    may_be_on &= ~np.isin(structures.kinds, PLANTS)
+    return np.where(may_be_on, roof_m, 0.0)
+
+
+def _on_roofs(structures: Footprints, roof_m: np.ndarray) -> Footprints:
+    """Return structures that may stand on roofs: whether their heights count from there or from the ground is open.
+
+    Args:
+      structures: ``N`` of them.
+      roof_m: ``[N]`` as of `_roofs_below_m`.
+    """
+    is_on = roof_m > 0
+    is_doubted = is_on & ~structures.is_guessed
+    return replace(
+        structures,
+        limit_m=structures.upper_m + roof_m,
+        origin=np.where(is_doubted, HeightOrigin.ROUGH, structures.origin).astype(np.uint8),
+        likely_m=np.where(is_on, np.inf, structures.likelies_m),
+    )
+
+
+def _names_building(structures: Footprints, outlines: Outlines) -> np.ndarray:
+    """Return ``[N]`` whether a thing of unknown kind may be the name of a building, or of what is historic in it."""
+    kinds = outlines.tags["verdict"]
+    is_name = np.array([kind in (HULL, HISTORIC, MONUMENT) for kind in kinds], bool)
+    return is_name & (structures.kinds == UNKNOWN)

@@ -19,19 +19,23 @@ def in_spans(outlines: Outlines) -> Outlines:
     Args:
       outlines: from `what_stands`.
     """
-    kinds = outlines.tags["verdict"]
-    is_wire = np.array([getattr(kind, "name", "") in WIRES for kind in kinds], bool)
-    is_wire &= shapely.get_dimensions(outlines.polygons) > 0
+    names = [
+        getattr(verdict, "name", "") for verdict in outlines.tags["verdict"]
+    ]  # "" of buildings
+    dimension = shapely.get_dimensions(outlines.polygons)
+    is_wire = np.isin(names, WIRES) & (dimension > 0)
     wires = np.flatnonzero(is_wire)
-    lines = outlines.polygons[wires]
-    lines = np.where(shapely.get_dimensions(lines) == 2, shapely.boundary(lines), lines)
-    lines, wire = shapely.get_parts(lines, return_index=True)
-    places, line = shapely.get_coordinates(lines, return_index=True)
-    first = np.flatnonzero(line[:-1] == line[1:])
-    spans = shapely.linestrings(np.stack([places[first], places[first + 1]], axis=1))
+    is_area = dimension[wires] == 2
+    shapes = outlines.polygons[wires]
+    drawn = np.where(is_area, shapely.boundary(shapes), shapes)
+    lines, wire_of_line = shapely.get_parts(drawn, return_index=True)
+    vertices, line_of_vertex = shapely.get_coordinates(lines, return_index=True)
+    first = np.flatnonzero(line_of_vertex[:-1] == line_of_vertex[1:])
+    spans = shapely.linestrings(np.stack([vertices[first], vertices[first + 1]], axis=1))
+    wire_of_span = wire_of_line[line_of_vertex[first]]
 
     others = np.flatnonzero(~is_wire)
-    cut = outlines.take(np.append(others, wires[wire[line[first]]]))
+    cut = outlines.take(np.append(others, wires[wire_of_span]))
     return replace(cut, polygons=np.append(outlines.polygons[others], spans))
 
 
