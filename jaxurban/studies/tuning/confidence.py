@@ -39,6 +39,7 @@ class FitVerdict(Enum):
         "ends that are held out"
     )
     WEIGHED = "the weight of {first} is {size}"
+    AT_MOST = "the weight of {first} is at most {high}, which is less than {share} of the cost"
     CONSTANT = "{first} is the same everywhere on these maps: its weight cannot be identified and is left at 0"
     STEPS = (
         "{first} is the same everywhere on these maps: its weight cannot be identified and stands for the steps that "

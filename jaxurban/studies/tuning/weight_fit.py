@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.checks import at_least, typed
+from jaxurban.knowledge import Caution
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters, Interval
@@ -19,7 +20,6 @@ from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import (
     RouteQuery,
     check_alike,
-    command_to_plan,
     command_to_vary,
     maps_of,
     weights_from,
@@ -32,6 +32,7 @@ from jaxurban.studies.tuning.confidence import (
     without_dust,
 )
 from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
+from jaxurban.studies.tuning.fitted import GIVEN, Fit
 from jaxurban.studies.tuning.tested import FitCommands, split
 from jaxurban.studies.tuning.weight_fit_rounds import (
     FitUnderWay,
@@ -50,10 +51,11 @@ FEW = 2  # demonstrations per weight
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
 NEGLIGIBLE = 1e-3  # share of all metrics in the cost: without them no regret changes by more
+SMALL = 0.01  # share of the cost: a weight whose interval ends below it is known to be next to 0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WeightFit:
+class WeightFit(Fit):
     """Weights fitted to demonstrations. ``K`` weights, ``Q`` demonstrations that were fitted of ``N``.
 
     Attributes:
@@ -82,8 +84,9 @@ class WeightFit:
         (some 90 %, as regrets are skewed), bad ones left out; NaN where there are none.
       num_tested: pairs of ends that this rests on.
       num_held_out, num_pairs: pairs of ends that were held out, and of all demonstrations.
-      query: of the first demonstration, which an example of the weights' use plans.
+      routes: the ``Q`` demonstrations that were fitted.
       commands: what fits again.
+      origin: of the routes, in words.
 
     Examples:
       >>> routes = ju.fit.demonstrations(path, maps)
@@ -112,8 +115,9 @@ class WeightFit:
     num_tested: int
     num_held_out: int
     num_pairs: int
-    query: RouteQuery
+    routes: tuple[Demonstration, ...]
     commands: FitCommands = IN_PYTHON
+    origin: str = GIVEN
 
     @property
     def vector(self) -> np.ndarray:
@@ -123,7 +127,7 @@ class WeightFit:
     @property
     def unidentified(self) -> tuple[str, ...]:
         """Sentences on weights that the demonstrations say nothing about."""
-        return tuple(f"{verdict.sentence}." for verdict in self.verdicts)
+        return tuple(f"{each.sentence}." for each in self.verdicts if not each.is_decided)
 
     @property
     def decided(self) -> Conclusion:
@@ -144,31 +148,33 @@ class WeightFit:
             verdicts = [Verdict(FitVerdict.FOLLOWED, (), size, low, high, num, "%")]
 
         # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
-        unknown = {name for verdict in self.verdicts for name in verdict.what}
+        judged = {name for verdict in self.verdicts for name in verdict.what}
         table = self.table.sort_values("share_of_cost", ascending=False)
-        known = table[np.isfinite(table.high) & ~table.index.isin(unknown)]
-        verdicts += [_weight_verdict(FitVerdict.WEIGHED, row) for row in known.itertuples()]
+        known = table[np.isfinite(table.high) & ~table.index.isin(judged)]
+        num = len(self.routes)
+        verdicts += [_weight_verdict(FitVerdict.WEIGHED, row, num) for row in known.itertuples()]
         verdicts += self.verdicts
 
-        # Where no further fit decides more: whether what is open matters to routes, else what the weights are for. An
-        # open weight of 0 is asked about at the other end of its interval.
-        if not command and not all(each.is_decided for each in verdicts):
-            folder = self.commands.folder or str(self.query.cost_map.maps.folder or "DIR")
-            is_open_at_0 = self.table.index.isin(unknown) & (self.table.weight == 0)
+        # Where no further fit decides more: whether what is open matters to routes, unless nothing can say it. An open
+        # weight of 0 is asked about at the other end of its interval.
+        if not command and not all(each.needed in (0, np.inf) for each in verdicts):
+            query = self.queries[0]
+            folder = self.commands.folder or str(query.cost_map.maps.folder or "DIR")
+            is_open_at_0 = self.table.index.isin(judged) & (self.table.weight == 0)
             asked = self.table.weight.mask(is_open_at_0, self.table.high.fillna(0.0))
-            weights = weights_from(self.query, asked.to_numpy())
-            command = command_to_vary(self.query, weights, f"{folder}-weights")
-        return Conclusion(tuple(verdicts), command or command_to_plan(self.query, self.weights))
+            weights = weights_from(query, asked.to_numpy())
+            command = command_to_vary(query, weights, f"{folder}-weights")
+        return Conclusion((*verdicts, *self.border), command or self.last_command)
 
     @property
-    def cautions(self) -> list[str]:
-        """What the demonstrations cannot say: ``unidentified`` and ``warnings``."""
-        return [*self.unidentified, *self.warnings]
+    def facts(self) -> dict[str, str]:
+        """What it decided, and whether the routes follow these metrics at all."""
+        return self.decided.facts | {"fit": self.sentence}
 
-    def __repr__(self) -> str:
-        lines = [f"{name}: {text}" for name, text in self.decided.facts.items()]
-        table = self.table.to_string(float_format="{:.3g}".format)
-        return "\n".join([*lines, self.sentence, *self.cautions, table])
+    @property
+    def cautions(self) -> list[Caution]:
+        """What the demonstrations cannot say: ``unidentified`` and ``warnings``."""
+        return [Caution(text, "guess") for text in (*self.unidentified, *self.warnings)]
 
 
 @typed
@@ -267,8 +273,10 @@ def fit_weights(
     for name in constant:
         kind = FitVerdict.CONSTANT if name in left_out else FitVerdict.STEPS
         open_weights.append(Verdict(kind, (name,), needed=np.inf))
-    is_felt = table.high * fit.unit > NEGLIGIBLE * (weights @ fit.unit)
-    open_weights += _wide_weights(table[is_felt & ~table.index.isin(constant)])
+    is_small = table.high * fit.unit <= SMALL * (weights @ fit.unit)
+    open_weights += _wide_weights(
+        table.assign(is_small=is_small).drop([*constant]), len(demonstrations)
+    )
     open_weights += indistinct_weights(fit.pool, fit.unit, weights, is_fitted)
     # The regret without what redrawing on the grid adds: that of the cheapest route near each demonstration.
     near = np.array([each.cheapest_near(weights) for each in demonstrations])
@@ -310,7 +318,7 @@ def fit_weights(
         num_tested=len(np.unique(group)),
         num_held_out=num_held_out,
         num_pairs=num_pairs,
-        query=queries[0],
+        routes=tuple(demonstrations),
     )
 
 
@@ -333,15 +341,25 @@ def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str
     return set(constant) - costing
 
 
-def _wide_weights(table: pd.DataFrame) -> list[Verdict]:
-    """Return which weights of a table the demonstrations leave open within a wide range."""
+def _wide_weights(table: pd.DataFrame, num: int) -> Iterator[Verdict]:
+    """Yield which weights the demonstrations leave open within a wide range, and which they say are next to 0.
+
+    Args:
+      table: of the weights; ``is_small`` where the upper end of the interval costs next to nothing.
+      num: of demonstrations.
+    """
     is_wide = np.isfinite(table.high) & (table.high > 0) & (table.low < table.high / WIDE)
-    return [_weight_verdict(FitVerdict.WIDE, row, np.nan) for row in table[is_wide].itertuples()]
+    for row in table[is_wide].itertuples():
+        kind, needed = (FitVerdict.AT_MOST, 0.0) if row.is_small else (FitVerdict.WIDE, np.nan)
+        yield _weight_verdict(kind, row, num, needed)
 
 
-def _weight_verdict(kind: FitVerdict, row: Any, needed: float = 0.0) -> Verdict:
-    """Return the verdict on a weight, by its row of a table."""
-    return Verdict(kind, (row.Index,), row.weight, row.low, row.high, needed=needed)
+def _weight_verdict(kind: FitVerdict, row: Any, num: int, needed: float = 0.0) -> Verdict:
+    """Return the verdict on a weight, by its row of a table, from a number of routes."""
+    facts = {"high": f"{row.high:.2g}", "share": f"{100 * SMALL:g} %"}
+    return Verdict(
+        kind, (row.Index,), row.weight, row.low, row.high, num, needed=needed, facts=facts
+    )
 
 
 def _verdict_sentence(
