@@ -28,6 +28,7 @@ from jaxurban.studies.route_pool import FitSettings, RoutePool
 from jaxurban.studies.tuning.confidence import (
     FitVerdict,
     constant_layers,
+    feature_units,
     indistinct_weights,
     without_dust,
 )
@@ -51,7 +52,7 @@ FEW = 2  # demonstrations per weight
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
 NEGLIGIBLE = 1e-3  # share of all metrics in the cost: without them no regret changes by more
-SMALL = 0.01  # share of the cost: a weight whose interval ends below it is known to be next to 0
+SMALL = 0.01  # share of the least cost of routes: a weight that adds no more where c is 1 everywhere is next to 0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -273,7 +274,8 @@ def fit_weights(
     for name in constant:
         kind = FitVerdict.CONSTANT if name in left_out else FitVerdict.STEPS
         open_weights.append(Verdict(kind, (name,), needed=np.inf))
-    is_small = table.high * fit.unit <= SMALL * (weights @ fit.unit)
+    highest = table.high * feature_units(queries, fit.demo, least=1.0)
+    is_small = highest <= SMALL * (table.low @ fit.unit)
     open_weights += _wide_weights(
         table.assign(is_small=is_small).drop([*constant]), len(demonstrations)
     )
@@ -345,7 +347,7 @@ def _wide_weights(table: pd.DataFrame, num: int) -> Iterator[Verdict]:
     """Yield which weights the demonstrations leave open within a wide range, and which they say are next to 0.
 
     Args:
-      table: of the weights; ``is_small`` where the upper end of the interval costs next to nothing.
+      table: of the weights; ``is_small`` where the upper end of the interval costs next to nothing anywhere.
       num: of demonstrations.
     """
     is_wide = np.isfinite(table.high) & (table.high > 0) & (table.low < table.high / WIDE)
