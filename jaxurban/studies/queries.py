@@ -234,13 +234,13 @@ def weights_option(weights: Weights, metrics: Iterable[str] | None = None) -> st
     return ",".join(f"{name}={weights[name]:.6g}" for name in names)
 
 
-def weight_units(cost_map: CostMap) -> dict[str, str]:
-    """Return what each weight of a map is per, by its name."""
+def weight_units(cost_map: CostMap) -> list[str]:
+    """Return ``[K]`` what each weight of a map is per, where its metric costs 1."""
     model = cost_map.cost_model
     unit = f"per {model.reference_length_m:g} m flown"
     if model.kind == "cell":
         unit = "per cell entered"
-    return {"distance": "per metre"} | dict.fromkeys(cost_map.names, unit)
+    return ["per metre", *(unit for _ in cost_map.names)]
 
 
 def outcome_names(names: Sequence[str]) -> tuple[str, ...]:

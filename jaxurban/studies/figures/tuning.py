@@ -37,21 +37,22 @@ def plot_weights(fit: WeightFit, ax: Axes | None = None) -> Figure:
     do not identify it; a dot without an interval is hollow.
     """
     # A row per weight, with the ends of its interval named as `dots` expects them; NaN where there is no dot.
-    table = fit.shown.rename(columns={"low": "weight_low", "high": "weight_high"})
+    table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     is_0 = table.weight == 0
     drawn = table.weight.mask(is_0, table.weight_high)
     table["weight"] = drawn.where(drawn > 0)
     heading = "Fitted weights and their intervals"
     figure, (panel,) = panels(1, heading, height_in=0.3 * len(table), ax=ax)
-    for place, name in enumerate(table.name):
-        marker = "<" if is_0[place] else "o"
-        row = table.iloc[[place]]
+    for place, name in enumerate(table.index):
+        marker = "<" if is_0[name] else "o"
+        row = table.loc[[name]]
         dots(panel, np.array([place]), row, "weight", color=line_colour(name), marker=marker)
     panel.set(
-        xscale="log", xlabel="weight, of a sum of 1 (triangle: at most; bars that leave reach 0)"
+        xscale="log",
+        xlabel="weight, of a sum of 1 (triangle: at most; bars that leave the axis reach 0)",
     )
     show_plain_log(panel.xaxis)
-    name_rows(panel, (table.name + ", " + table.unit).to_list())
+    name_rows(panel, (table.index + ", " + table.unit).to_list())
     return figure
 
 

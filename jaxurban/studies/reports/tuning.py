@@ -227,7 +227,7 @@ def fit_report(fit: WeightFit | TargetFit) -> ResultReport:
         fields["seen"] = "none" if num_held_out else "all"
 
     # What every fit has: tables of its weights and of its routes, and a picture of the routes on each map.
-    weights = fit.shown
+    weights = fit.table.reset_index()
     others |= {"weights": weights, "examples": routes}
     for name, cost_map in pictures.items():
         figures[name] = partial(plot_fitted_routes, fit.routes, fit.planned, cost_map, vector, noun)

@@ -14,14 +14,13 @@ from jaxurban.studies.queries import (
     RouteQuery,
     command_to_plan,
     maps_of,
-    weight_units,
     weights_option,
 )
 from jaxurban.studies.results import StudyResult, with_units
 from jaxurban.studies.tuning.tested import FitCommands
 
 GIVEN = "routes that were given in Python"
-FORMAT: Look = {"float_format": "{:.3g}".format, "index": False}
+FORMAT: Look = {"float_format": "{:.3g}".format}
 
 
 class Fit(StudyResult):
@@ -30,7 +29,7 @@ class Fit(StudyResult):
     Attributes:
       names: ``[K]`` of the weights.
       weights: that were fitted.
-      table: a row per weight, by its name.
+      table: a row per weight, by its name, with its ``unit``.
       routes: the demonstrations that were fitted, or those without the wish.
       commands: what fits again.
       origin: of the routes, in words.
@@ -63,12 +62,6 @@ class Fit(StudyResult):
         return tuple(dict.fromkeys(map(weights_option, pilots)))
 
     @property
-    def shown(self) -> pd.DataFrame:
-        """``table`` with the ``name`` of each weight and its ``unit``."""
-        units = weight_units(self.queries[0].cost_map)
-        return self.table.reset_index().assign(unit=[units[name] for name in self.names])
-
-    @property
     def tables(self) -> dict[str, pd.DataFrame]:
         """The tables that are written, by name."""
         return with_units(self.report.others)
@@ -94,7 +87,7 @@ class Fit(StudyResult):
 
     def __repr__(self) -> str:
         lines = (f"{name}: {text}" for name, text in self.facts.items())
-        return "\n".join([*lines, *self.known_cautions, self.shown.to_string(**FORMAT)])
+        return "\n".join([*lines, *self.known_cautions, self.table.to_string(**FORMAT)])
 
     def _repr_html_(self) -> str:
-        return super()._repr_html_() + self.shown.to_html(**FORMAT)
+        return super()._repr_html_() + self.table.to_html(**FORMAT)

@@ -27,6 +27,7 @@ from jaxurban.studies.queries import (
     RouteQuery,
     check_alike,
     outcomes_of,
+    weight_units,
     weights_from,
 )
 from jaxurban.studies.route_pool import (
@@ -65,7 +66,7 @@ class TargetFit(Fit):
     Attributes:
       names: ``"distance"`` and the metrics.
       weights: they sum to 1; where those without the wish meet all targets, these very weights.
-      table: a row for each, by its name: ``weight``.
+      table: a row for each, by its name: ``weight``, and its ``unit``, per what it is.
       outcomes: a row per target: wished (its bound), shortest (what the shortest routes give), reached, missed_by
         (share of the bound), is_met; by planned routes, without noise.
       is_met: all targets are met within 2 %.
@@ -218,7 +219,10 @@ def fit_targets(
     return TargetFit(
         names=names,
         weights=weights_from(queries[0], best.weights),
-        table=pd.DataFrame({"weight": best.weights}, pd.Index(names, name="name")),
+        table=pd.DataFrame(
+            {"weight": best.weights, "unit": weight_units(queries[0].cost_map)},
+            pd.Index(names, name="name"),
+        ),
         outcomes=_outcome_table(wanted, best, at_shortest),
         is_met=bool(np.all(best.missed <= MET)),
         curve=pd.DataFrame(best.rows),

@@ -22,6 +22,7 @@ from jaxurban.studies.queries import (
     check_alike,
     command_to_vary,
     maps_of,
+    weight_units,
     weights_from,
 )
 from jaxurban.studies.route_pool import FitSettings, RoutePool
@@ -52,7 +53,7 @@ FEW = 2  # demonstrations per weight
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
 NEGLIGIBLE = 1e-3  # share of all metrics in the cost: without them no regret changes by more
-SMALL = 0.01  # share of the least cost of routes: a weight that adds no more where c is 1 everywhere is next to 0
+SMALL = 0.05  # share of the least cost of routes: a weight that adds no more where c is 1 everywhere is next to 0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,7 +67,7 @@ class WeightFit(Fit):
         bootstrap fits, widened to all weights that explain the demonstrations as well (of lines that were redrawn on
         the grid: that explain any routes within 3 cells of them as well), NaN without bootstrap; ``share_of_cost``, the
         part of the demonstrations' cost that the weight makes up; ``spread``, w_j x std(phi_j) over the demonstrations,
-        scaled so that all of them have the length 1 together, by which fits can be compared.
+        scaled so that all of them have the length 1 together, by which fits can be compared; ``unit``, per what it is.
       draws: ``[B, K]`` the weights of the bootstrap fits.
       regret: ``[Q]`` by which share each demonstration costs more than the cheapest route that a search finds under
         the weights.
@@ -223,7 +224,7 @@ def fit_weights(
       >>> fit.regret.round(2).tolist(), round(float(fit.vector.sum()), 3)
       ([0.0, 0.0], 1.0)
       >>> list(fit.table.columns)
-      ['weight', 'low', 'high', 'share_of_cost', 'spread']
+      ['weight', 'low', 'high', 'share_of_cost', 'spread', 'unit']
     """
     at_least("bootstrap", bootstrap)
     begin_s = time.perf_counter()
@@ -265,6 +266,7 @@ def fit_weights(
             "high": np.maximum(interval[1], weights),
             "share_of_cost": cost / cost.sum(),
             "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),  # 0 / 0 is 0
+            "unit": weight_units(queries[0].cost_map),
         },
         pd.Index(names, name="name"),
     )
