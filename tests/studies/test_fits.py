@@ -45,7 +45,7 @@ def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_t
     lines = f"{fit}".splitlines()
     assert [line.partition(":")[0] for line in lines[:3]] == ["decided", "not decided", "next"]
     assert lines[3] == f"fit: {fit.sentence}"
-    assert lines[5].split()[:2] == ["distance", f"{fit.vector[0]:.3g}"]
+    assert lines[6].split()[:2] == ["distance", f"{fit.vector[0]:.3g}"]
     hidden = VECTOR / VECTOR.sum()
     low, high = fit.table[["low", "high"]].to_numpy().T
     assert np.all(low <= fit.vector)
