@@ -10,7 +10,7 @@ Student's t widens for few groups.
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
@@ -281,7 +281,7 @@ def wider_bounds(maps: MetricMaps) -> str:
     return str(grid.lonlat_at(corners_m).ravel().round(4).tolist())
 
 
-def border_verdict(is_pinned: Sequence[bool] | np.ndarray, noun: str = "routes") -> list[Verdict]:
+def border_verdict(is_pinned: np.ndarray, noun: str = "routes") -> list[Verdict]:
     """Return how many routes the border may have decided; nothing where none comes near it.
 
     Args:

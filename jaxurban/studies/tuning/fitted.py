@@ -5,22 +5,15 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from jaxurban.draw.write import Look
 from jaxurban.metrics.weights import Weights
 from jaxurban.statistics.conclusions import Verdict
 from jaxurban.studies.decided import border_verdict, edge_band, is_at_edge, wider_bounds
 from jaxurban.studies.demonstrations import Demonstration, optimal_demonstrations
-from jaxurban.studies.queries import (
-    RouteQuery,
-    command_to_plan,
-    maps_of,
-    weights_option,
-)
+from jaxurban.studies.queries import RouteQuery, command_to_plan, maps_of, weights_option
 from jaxurban.studies.results import StudyResult, with_units
 from jaxurban.studies.tuning.tested import FitCommands
 
 GIVEN = "routes that were given in Python"
-FORMAT: Look = {"float_format": "{:.3g}".format}
 
 
 class Fit(StudyResult):
@@ -74,7 +67,7 @@ class Fit(StudyResult):
             is_at_edge(each.points_m, each.query.cost_map.grid, bands[id(each.query.cost_map)])
             for each in (*self.routes, *self.planned)
         ]
-        return border_verdict(np.reshape(pinned, (2, -1)).any(axis=0))
+        return border_verdict(np.logical_or(*np.reshape(pinned, (2, -1))))
 
     @property
     def last_command(self) -> str:
@@ -86,8 +79,9 @@ class Fit(StudyResult):
         return command_to_plan(query, self.weights)
 
     def __repr__(self) -> str:
-        lines = (f"{name}: {text}" for name, text in self.facts.items())
-        return "\n".join([*lines, *self.known_cautions, self.table.to_string(**FORMAT)])
+        lines = [f"{name}: {text}" for name, text in self.facts.items()]
+        table = f"{self.table.to_string(float_format='{:.3g}'.format)}"
+        return "\n".join([*lines, *self.known_cautions, table])
 
     def _repr_html_(self) -> str:
-        return super()._repr_html_() + self.table.to_html(**FORMAT)
+        return f"{super()._repr_html_()}{self.table.to_html(float_format='{:.3g}'.format)}"
