@@ -90,6 +90,10 @@ def test_no_command_asks_about_what_no_routes_decide(blind):
     again = replace(fit, verdicts=(wide,), table=table).decided.next_command
     assert again.startswith("jaxurban sensitivity")
     assert "lidar=0.5," in again  # at 0 it would change nothing
+    wide = replace(wide, what=("risk",))
+    small = Verdict(FitVerdict.AT_MOST, ("lidar",), 0.0, 0.0, 0.01)
+    again = replace(fit, verdicts=(small, wide), table=table).decided.next_command
+    assert "lidar=0," in again  # as that is decided
 
 
 def test_the_border_is_said_of_fits_and_wider_maps_come_next(blind, unit):

@@ -150,9 +150,9 @@ class WeightFit(Fit):
             verdicts = [Verdict(FitVerdict.FOLLOWED, (), size, low, high, num, "%")]
 
         # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
-        judged = {name for verdict in self.verdicts for name in verdict.what}
+        judged = {name: verdict.needed for verdict in self.verdicts for name in verdict.what}
         table = self.table.sort_values("share_of_cost", ascending=False)
-        known = table[np.isfinite(table.high) & ~table.index.isin(judged)]
+        known = table[np.isfinite(table.high) & ~table.index.isin([*judged])]
         num = len(self.routes)
         verdicts += [_weight_verdict(FitVerdict.WEIGHED, row, num) for row in known.itertuples()]
         verdicts += self.verdicts
@@ -162,7 +162,7 @@ class WeightFit(Fit):
         if not command and not all(each.needed in (0, np.inf) for each in verdicts):
             query = self.queries[0]
             folder = self.commands.folder or str(query.cost_map.maps.folder or "DIR")
-            is_open_at_0 = self.table.index.isin(judged) & (self.table.weight == 0)
+            is_open_at_0 = (self.table.index.map(judged) != 0) & (self.table.weight == 0)
             asked = self.table.weight.mask(is_open_at_0, self.table.high.fillna(0.0))
             weights = weights_from(query, asked.to_numpy())
             command = command_to_vary(query, weights, f"{folder}-weights")
