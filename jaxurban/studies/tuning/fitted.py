@@ -16,7 +16,7 @@ from jaxurban.studies.tuning.tested import FitCommands
 GIVEN = "routes that were given in Python"
 
 
-class Fit(StudyResult):
+class FitResult(StudyResult):
     """Base of fits: a notebook shows their lines and weights, and `save` writes what ``jaxurban tune`` does.
 
     Attributes:

@@ -38,7 +38,7 @@ from jaxurban.studies.route_pool import (
 )
 from jaxurban.studies.tuning.confidence import feature_units, without_dust
 from jaxurban.studies.tuning.fenchel_young import adam
-from jaxurban.studies.tuning.fitted import GIVEN, Fit
+from jaxurban.studies.tuning.fitted import GIVEN, FitResult
 from jaxurban.studies.tuning.target import DETOUR, MEAN, Target
 from jaxurban.studies.tuning.tested import FitCommands, split, tested_outcomes, wish_verdicts
 
@@ -60,7 +60,7 @@ IN_PYTHON = FitCommands("ju.fit.fit_targets(queries, targets, hold_out={share})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TargetFit(Fit):
+class TargetFit(FitResult):
     """Weights fitted to targets.
 
     Attributes:

@@ -34,7 +34,7 @@ from jaxurban.studies.tuning.confidence import (
     without_dust,
 )
 from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
-from jaxurban.studies.tuning.fitted import GIVEN, Fit
+from jaxurban.studies.tuning.fitted import GIVEN, FitResult
 from jaxurban.studies.tuning.tested import FitCommands, split
 from jaxurban.studies.tuning.weight_fit_rounds import (
     FitUnderWay,
@@ -57,7 +57,7 @@ SMALL = 0.05  # share of the least cost of routes: a weight that adds no more wh
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WeightFit(Fit):
+class WeightFit(FitResult):
     """Weights fitted to demonstrations. ``K`` weights, ``Q`` demonstrations that were fitted of ``N``.
 
     Attributes:
