@@ -149,10 +149,12 @@ def tune_command(
         more = f"{again('-o', '--sample', *own)} --sample {{needed}} -o {output}-{{needed}}"
     wider = ""
     if len(files_of) == 1:
-        ((maps, own_files),) = files_of.items()
+        maps, *files_on_maps = map(str, words)
         place = f"{maps}-wider"
-        wider = f'jaxurban maps {maps} -o {place} --set "region.bounds={{bounds}}" && '
-        wider += f"{again('-o', *map(str, words))} {shlex.join([place, *map(str, own_files)])} -o {output}-wider"
+        wider = (
+            f'jaxurban maps {shlex.join([maps, "-o", place])} --set "region.bounds={{bounds}}" && '
+        )
+        wider += f"{again('-o', *map(str, words))} {shlex.join([place, *files_on_maps])} -o {output}-wider"
     commands = FitCommands(tested, more, str(output), sample, wider)
     settings = TuneSettings(
         routes=values_given(routes),
