@@ -81,6 +81,7 @@ def test_a_weight_next_to_0_is_decided_drawn_and_not_asked_about(blind):
 def test_no_command_asks_about_what_no_routes_decide(blind):
     constant = Verdict(FitVerdict.CONSTANT, ("risk",), needed=np.inf)
     fit = replace(blind, verdicts=(constant,), tested=Interval(0.0, 0.0, 0.0), num_tested=8)
+    assert fit.decided.verdicts[0].sentence.endswith("under the weights (8 pairs of ends)")
     assert not fit.decided.verdicts[-2].is_decided
     assert fit.decided.next_command.startswith("jaxurban plan")
     wide = Verdict(FitVerdict.WIDE, ("lidar",), 0.0, 0.0, 0.5, needed=np.nan)

@@ -35,7 +35,7 @@ from jaxurban.studies.tuning.confidence import (
 )
 from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
 from jaxurban.studies.tuning.fitted import GIVEN, FitResult
-from jaxurban.studies.tuning.tested import FitCommands, split
+from jaxurban.studies.tuning.tested import PAIRS, FitCommands, split
 from jaxurban.studies.tuning.weight_fit_rounds import (
     FitUnderWay,
     city_numbers,
@@ -147,7 +147,7 @@ class WeightFit(FitResult):
                 needed, self.num_pairs, self.num_held_out / self.num_pairs
             )
         else:
-            verdicts = [Verdict(FitVerdict.FOLLOWED, (), size, low, high, num, "%")]
+            verdicts = [Verdict(FitVerdict.FOLLOWED, (), size, low, high, num, "%", PAIRS)]
 
         # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
         judged = {name: verdict.needed for verdict in self.verdicts for name in verdict.what}
