@@ -214,7 +214,6 @@ def fit_report(fit: WeightFit | TargetFit) -> ResultReport:
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         figures["weights"] = partial(plot_weights, fit)
         fields["cautions"] = bullets(fit.cautions)
-        fields["num_draws"] = len(fit.draws)
         held_out = fill("studies/templates/held_out", num=num_held_out, fit=fit)
         fields["held_out"] = held_out if num_held_out else ""
     else:
