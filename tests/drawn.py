@@ -271,6 +271,8 @@ def _fitted(plot, case: Case) -> Figure:
     weight = np.geomspace(1e-4, 3e3, len(names))
     table = pd.DataFrame({"weight": weight, "low": weight / 3, "high": 4 * weight}, names)
     table.iloc[1, 1:] = np.nan
+    table.iloc[2, :2] = 0.0
+    table["unit"] = ["per metre", *["per 5 m flown"] * (len(names) - 1)]
     return plot(SimpleNamespace(table=table))
 
 

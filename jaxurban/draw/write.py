@@ -19,6 +19,7 @@ from jaxurban.io.city import joined_credits
 from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.tables import SUFFIXES, write_table
 from jaxurban.paths.suffixes import PICTURES
+from jaxurban.statistics.conclusions import VERDICTS, Conclusion
 
 REPORT_FILE = "report.md"
 DUST = 1e-9  # what a sum of shares or metres leaves by rounding, which is no number
@@ -80,6 +81,8 @@ def files_of(names: Iterable[str]) -> list[str]:
 class ResultReport:
     """What a result writes: ``tables/NAME``, ``figures/NAME.png``, and last ``report.md``.
 
+    A study's report begins with what it decided (``{lines}``), and all verdicts are a table beside it.
+
     Attributes:
       template: of ``report.md``, as in `fill`.
       fields: what fills it, as `fill` takes it.
@@ -87,6 +90,7 @@ class ResultReport:
       figures: functions that draw the pictures, by name.
       others: further outputs, by file name.
       key: facts that identify the result; a folder with the result of other facts is not replaced unasked.
+      decided: what a study decided.
     """
 
     template: str
@@ -95,16 +99,20 @@ class ResultReport:
     figures: Figures = field(default_factory=dict)
     others: Outputs = field(default_factory=dict)
     key: Mapping[str, Any] = field(default_factory=dict)
+    decided: Conclusion | None = None
 
     @property
     def text(self) -> Markdown:
         """The text of ``report.md``."""
-        return fill(self.template, figures=self.figures, **self.fields)
+        lines = first_lines(self.decided.facts) if self.decided else ""
+        return fill(self.template, figures=self.figures, lines=lines, **self.fields)
 
     @property
     def outputs(self) -> Outputs:
         """What is written, by file name."""
         tables = {f"tables/{name}": table for name, table in self.tables.items()}
+        if self.decided:
+            tables[VERDICTS] = self.decided.table
         figures = {f"figures/{name}.png": draw for name, draw in self.figures.items()}
         return {**self.others, **tables, **figures, REPORT_FILE: self.text}
 

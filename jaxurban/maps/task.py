@@ -322,6 +322,7 @@ def empty_dataset(
     attribution = joined_credits(task.city.attribution, *credits)
     if attribution:
         attrs["attribution"] = attribution
+    attrs["known_bounds_m"] = task.city.known_area.bounds
     if population is not None:
         per = "block" if params.population.quantity == "count" else "km2"
         attrs[f"pop_norm_per_{per}"] = [float(value) for value in population.norm_per_km2]

@@ -24,6 +24,11 @@ FOUND_SHARE = 0.9  # of repeated studies of the needed size, which find the effe
 MOST_RUNS = 1e6  # more are called "no number"
 SAME = 1e-9  # relative, and in the unit of the values: what differs by less is equal
 SHOWN = 3  # sentences of a line
+VERDICTS = "tables/verdicts"  # file of all, beside the report
+COLUMNS = [
+    *("kind", "is_decided", "sentence"),
+    *("size", "low", "high", "unit", "n", "noun", "needed"),
+]
 FAR = 20  # times the runs of a study, beyond which no command asks for more
 MOST_ASKED_FOR = 1000  # runs, beyond which none does either
 
@@ -36,7 +41,7 @@ class SharedVerdict(Enum):
     APART = "{what} cannot be compared in {measure}, as there are {n}"
     BORDER = (
         "{which} within {cells} cells of the border of the maps' data, away from the ends: whether the "
-        "border made this is not decided by more routes, but by maps of wider bounds"
+        "border made this is not decided by more routes, but by maps of wider bounds, if their source reaches so far"
     )
 
 
@@ -118,13 +123,27 @@ class Conclusion(FactsRepr):
             "next": self.next_command,
         }
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return lines and records as plain, JSON-ready values; a number that is not finite is None."""
-        records = [
-            {**vars(each), "kind": each.kind.name.lower(), "is_decided": each.is_decided}
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """Each verdict's record, its ``kind`` by name, with ``is_decided`` and ``sentence``."""
+        return [
+            {
+                **vars(each),
+                "kind": each.kind.name.lower(),
+                "is_decided": each.is_decided,
+                "sentence": each.sentence,
+            }
             for each in self.verdicts
         ]
-        table = pd.DataFrame(records).replace([np.inf, -np.inf], np.nan)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row per verdict, with what of its record is no list of names or facts."""
+        return pd.DataFrame(self.records, columns=COLUMNS)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return lines and records as plain, JSON-ready values; a number that is not finite is None."""
+        table = pd.DataFrame(self.records).replace([np.inf, -np.inf], np.nan)
         return {"lines": self.facts, "verdicts": records_of(table)}
 
 
@@ -132,7 +151,7 @@ def _line(verdicts: Sequence[Verdict]) -> str:
     """Return the sentences of the first verdicts as one line, and how many more there are."""
     sentences = [verdict.sentence for verdict in verdicts[:SHOWN]]
     if len(verdicts) > SHOWN:
-        sentences.append(f"{len(verdicts) - SHOWN} more in the records")
+        sentences.append(f"{len(verdicts) - SHOWN} more in {VERDICTS}.csv")
     return "; ".join(sentences) + "." if sentences else "Nothing."
 
 
@@ -206,13 +225,13 @@ def concluded(
       verdicts: the most important first.
       more: command of more runs, with a place for ``{needed}``: as many as would decide the first that is open.
       done: where nothing is left that a study of this kind decides.
-      wider: of maps of wider bounds, where only they would decide.
+      wider: of maps of wider bounds, where only they would decide; empty where their source ends at these.
       factor: how many runs the command makes for each one of ``ran``.
       ran: how many the study has; fewer may count for a verdict (`_runs_for`).
     """
     command = done
     if any(each.kind is SharedVerdict.BORDER for each in verdicts):
-        command = wider
+        command = wider or done
     open_ones = within_reach(verdicts)
     if open_ones:
         num = factor * _runs_for(open_ones[0], ran)

@@ -14,7 +14,7 @@ from jaxurban.progress import Report
 from jaxurban.studies.decided import edge_band, is_at_edge
 from jaxurban.studies.montecarlo.sampling import sample_joined
 
-SAME = 1e-6  # share of a cost by which a route may be dearer than the cheapest and still be it
+SAME = 1e-4  # share of the cost: a route that costs no more above the cheapest one is as good
 JUDGED = ["length_m", "cost", "best_there", "cost_there", "is_closed", "apart_m", "at_edge"]
 
 

@@ -264,12 +264,20 @@ def is_at_edge(points_m: np.ndarray, grid: Grid, band: np.ndarray) -> bool:
     return bool(band[rows, cols].any())
 
 
-def wider_bounds(grid: Grid) -> str:
-    """Return bounds a quarter wider to each side, as ``--set region.bounds=`` takes them."""
-    west, south, east, north = grid.bounds_m
-    x_m = (east - west) / 4
-    y_m = (north - south) / 4
-    corners_m = np.array([(west - x_m, south - y_m), (east + x_m, north + y_m)])
+def wider_bounds(maps: MetricMaps) -> str:
+    """Return bounds a quarter wider to each side, as ``--set region.bounds=`` takes them.
+
+    They end where the source of the buildings does (``known_bounds_m`` of the maps), as the ground beyond is taken as
+    free. Empty where it ends within `EDGE_CELLS` of the maps on all sides.
+    """
+    grid = maps.grid
+    low_m, high_m = bounds_m = np.reshape(grid.bounds_m, (2, 2))
+    quarter_m = (high_m - low_m) / 4
+    wide_m = low_m - quarter_m, high_m + quarter_m
+    known_m = np.reshape(maps.ds.attrs.get("known_bounds_m", wide_m), (2, 2))
+    corners_m = known_m.clip([wide_m[0], high_m], [low_m, wide_m[1]])
+    if np.abs(corners_m - bounds_m).max() <= EDGE_CELLS * grid.resolution_m:
+        return ""
     return str(grid.lonlat_at(corners_m).ravel().round(4).tolist())
 
 

@@ -42,6 +42,7 @@ class Demonstration:
       points_m: ``[N, 2]`` the route on the grid, metres from the map's southwest corner.
       note: what had to be done to the route; empty where nothing had.
       drawn_cells: within how many cells of ``points_m`` the route that was meant runs; 0: these are its points.
+      pilot: the weights under which it was planned; None: it was not, or nobody says.
 
     Examples:
       >>> (routes,) = ju.fit.demonstrations(path, maps)
@@ -55,6 +56,7 @@ class Demonstration:
     points_m: np.ndarray
     note: str = ""
     drawn_cells: float = 0.0
+    pilot: Weights | None = None
 
     @cached_property
     def sums(self) -> np.ndarray:
@@ -127,7 +129,10 @@ def optimal_demonstrations(queries: Sequence[RouteQuery], weights: Weights) -> l
     Raises:
       InputError: no path joins the ends of a query.
     """
-    return [Demonstration(query, query.cheapest(weights.vector(query.names))) for query in queries]
+    return [
+        Demonstration(query, query.cheapest(weights.vector(query.names)), pilot=weights)
+        for query in queries
+    ]
 
 
 def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "") -> Demonstration:

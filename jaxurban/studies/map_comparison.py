@@ -26,6 +26,7 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.settings import iso_utc
 from jaxurban.statistics.bootstrap import Clusters
 from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, sized
+from jaxurban.studies.compared_routes import SAME as SAME_COST
 from jaxurban.studies.compared_routes import compared_routes
 from jaxurban.studies.decided import border_verdict, effects, wider_bounds
 from jaxurban.studies.results import StudyResult
@@ -47,8 +48,8 @@ class MapVerdict(Enum):
         "gain one (means of DOPs leave these out), {closed:,} become obstacles and {opened:,} free"
     )
     ROUTES = (
-        "{count:,} of A's {n}, {size}, are not the cheapest on B ({where}), whose own are up to {apart_m:,.0f} m away; "
-        "B closes {closed:,} of A's, and {lost:,} have no way on B"
+        "{count:,} of A's {n}, {size}, are closed on B or cost over {same:g} % more there than B's own ({where}), and "
+        "these are up to {apart_m:,.0f} m away; B closes {closed:,} of A's, and {lost:,} have no way on B"
     )
     KEPT = "A route of A that B leaves open costs {size} more on B than B's own ({n})"
     KEPT_OPEN = "How much more than B's own a route of A costs on B is open: {size} ({n})"
@@ -142,19 +143,19 @@ class MapComparison(StudyResult):
         more = "ju.studies.compare(A, B, routes={needed})"
         view = "ju.view(B)"
         wider = "ju.build_maps(city, grid=wider_grid)"
+        bounds = wider_bounds(self.a)
         if all(self.names):
             a, b = map(shlex.quote, self.names)
             which = f"--resolution {self.a.grid.resolution_m:g}"
             more = f"jaxurban compare {a} {b} {which} --routes {{needed}} -o {b}_routes_{{needed}}"
             view = f"jaxurban view {b} {which}"
-            bounds = wider_bounds(self.a.grid)
             wider = f'jaxurban maps {a} {b} -o {b}_wider --set "region.bounds={bounds}" && jaxurban compare '
             wider += " ".join(f"{b}_wider/{shlex.quote(Path(name).name)}" for name in self.names)
             wider += f" {which} --routes {USUAL_ROUTES} -o {b}_wider_routes"
         command = more if self.routes.empty else view
         done = command.replace("{needed}", str(USUAL_ROUTES))
         num = 0 if self.routes.empty else self.routes.pair.nunique()
-        return concluded(verdicts, more=more, done=done, wider=wider, ran=num)
+        return concluded(verdicts, more=more, done=done, wider=bounds and wider, ran=num)
 
     def _of_cells(self) -> Verdict:
         """Return by how much each metric differs on average, and how many cells change for planners."""
@@ -191,6 +192,7 @@ class MapComparison(StudyResult):
         by_altitude = routes.groupby("altitude_m").is_changed.agg(["sum", "count"]).itertuples()
         facts = {
             "count": int(routes.is_changed.sum()),
+            "same": 100 * SAME_COST,
             "where": ", ".join(f"{num:.0f} of {of} at {z_m:g} m" for z_m, num, of in by_altitude),
             "apart_m": (routes.apart_m * routes.is_changed).fillna(0).max(),
             "closed": int(routes.is_closed.sum()),

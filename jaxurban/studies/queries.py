@@ -234,6 +234,15 @@ def weights_option(weights: Weights, metrics: Iterable[str] | None = None) -> st
     return ",".join(f"{name}={weights[name]:.6g}" for name in names)
 
 
+def weight_units(cost_map: CostMap) -> list[str]:
+    """Return ``[K]`` what each weight of a map is per, where its metric costs 1."""
+    model = cost_map.cost_model
+    unit = f"per {model.reference_length_m:g} m flown"
+    if model.kind == "cell":
+        unit = "per cell entered"
+    return ["per metre", *(unit for _ in cost_map.names)]
+
+
 def outcome_names(names: Sequence[str]) -> tuple[str, ...]:
     """Return the outcomes of routes on maps with these weights (``"distance"`` and metrics)."""
     of_weight = {"distance": LENGTH, "population": PEOPLE}

@@ -30,6 +30,7 @@ from jaxurban.studies.montecarlo.sampling import (
     checked_instances,
     instances_of_queries,
 )
+from jaxurban.studies.queries import weights_from
 from jaxurban.studies.weights.routes import query_of
 
 ALIKE = 1e-9  # relative: weights of rows, scaled to sum 1, that are one W
@@ -193,7 +194,9 @@ def _followed(route: Route, xy_m: np.ndarray, map_of: MapOf) -> Demonstration:
             "it has no altitude, or several: give it one (a property altitude_m, --altitude, altitude_m=)"
         )
     cost_map = map_of(float(route.altitude_m), route.time, route.time_of_day)
-    return demonstration_from_line(cost_map, xy_m, route.name)
+    weights = route.settings.get("weights")
+    pilot = Weights(**weights) if weights else None
+    return replace(demonstration_from_line(cost_map, xy_m, route.name), pilot=pilot)
 
 
 def _planned(
@@ -252,7 +255,8 @@ def _planned_route(row: Row, map_of: MapOf, fitted_map: MapOf) -> Demonstration:
     place = row["altitude_m"], row["time"], row["time_of_day"]
     query, weights, _ = query_of(map_of(*place), row)
     points_m = query.cheapest(weights)
-    return Demonstration(replace(query, cost_map=fitted_map(*place), is_planned=True), points_m)
+    fitted = replace(query, cost_map=fitted_map(*place), is_planned=True)
+    return Demonstration(fitted, points_m, pilot=weights_from(query, weights))
 
 
 def _fitted(map_of: MapOf, metrics: Sequence[str] | None) -> MapOf:

@@ -1,5 +1,6 @@
 """jaxurban tune."""
 
+import shlex
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypedDict
@@ -146,7 +147,15 @@ def tune_command(
     if sample or wishes:
         own = map(str, chain(*files_of.values()))
         more = f"{again('-o', '--sample', *own)} --sample {{needed}} -o {output}-{{needed}}"
-    commands = FitCommands(tested, more, str(output), sample)
+    wider = ""
+    if len(files_of) == 1:
+        maps, *files_on_maps = map(str, words)
+        place = f"{maps}-wider"
+        wider = (
+            f'jaxurban maps {shlex.join([maps, "-o", place])} --set "region.bounds={{bounds}}" && '
+        )
+        wider += f"{again('-o', *map(str, words))} {shlex.join([place, *files_on_maps])} -o {output}-wider"
+    commands = FitCommands(tested, more, str(output), sample, wider)
     settings = TuneSettings(
         routes=values_given(routes),
         sample=sample,

@@ -446,13 +446,16 @@ def again(*dropped: str) -> str:
     """Return the command that runs, as it was typed, without ``--json``, ``--overwrite`` and some words.
 
     Args:
-      dropped: options that are left out with their values, as ``"-o"`` or ``"--set study.instances"``; or other words.
+      dropped: options that are left out with their values, as ``"-o"`` or ``"--set study.instances"``; or files and
+        folders, however they were typed.
     """
-    typed = [each for each in click.get_current_context().meta[TYPED] if each not in FLAGS]
-    line = shlex.join(["jaxurban", *typed])
-    for words in dropped:
-        value = VALUE if words.startswith("-") else ""
-        line = re.sub(f" {re.escape(words)}{value}(?= |$)", "", line)
+    command, *typed = click.get_current_context().meta[TYPED]
+    files = {Path(each) for each in dropped if not each.startswith("-")}
+    kept = [each for each in typed if each not in FLAGS and Path(each) not in files]
+    line = shlex.join(["jaxurban", command, *kept])
+    for option in dropped:
+        if option.startswith("-"):
+            line = re.sub(f" {re.escape(option)}{VALUE}(?= |$)", "", line)
     return line
 
 

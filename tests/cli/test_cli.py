@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -11,6 +12,7 @@ import time
 import urllib.request
 from pathlib import Path
 
+import click
 import jax
 import pytest
 from shapely import box
@@ -20,7 +22,8 @@ from jaxurban.cli.main import app, main
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.glance import glance
 from jaxurban.metrics.custom import held_metrics
-from jaxurban.terminal.common import use_device
+from jaxurban.terminal.common import again, use_device
+from jaxurban.terminal.options import TYPED
 from jaxurban.world.grid import grid_of
 from tests.cli_runs import ENDS, TOWN, assert_one_sentence, run, write_city
 from tests.test_process import heavy_modules
@@ -452,3 +455,13 @@ def test_the_cpu_is_for_a_command_and_for_its_workers(monkeypatch, tmp_path, cap
     scenario.touch()
     code, _, _ = run(capsys, "maps", scenario, "-o", tmp_path, *options)
     assert (code, set_up, os.environ["JAX_PLATFORMS"]) == (2, {"jax_platforms": "cpu"}, "cpu")
+
+
+def test_a_command_runs_again_without_files_however_they_were_typed():
+    with click.Context(click.Command("tune")) as context:
+        typed = ["./my city/", "--altitude", "60", "x/../routes.csv", "routes.csv", "-o", "out"]
+        context.meta[TYPED] = ["tune", *typed, "--json"]
+        assert again("-o", "my city", "routes.csv") == (
+            "jaxurban tune --altitude 60 x/../routes.csv"
+        )
+        assert again() == f"jaxurban {shlex.join(['tune', *typed])}"

@@ -198,6 +198,14 @@ def test_the_share_of_answers_beyond_the_data_is_that_of_rays_followed_one_by_on
     assert leaving_share(city, region, sky, 20.0) == pytest.approx(np.mean(leaving), abs=1e-12)
 
 
+def test_maps_say_how_far_the_buildings_are_known(tmp_path):
+    city = ju.demo_city(600, 500)
+    maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=[20.0])
+    maps.save(tmp_path / "maps")
+    west, south, east, north = ju.open_maps(tmp_path / "maps").ds.attrs["known_bounds_m"]
+    assert (east - west, north - south) == pytest.approx((600, 500))
+
+
 def peopled(*sides_m):
     """A city of square blocks in a row, each with 100 people."""
     x, side_m, num = X + np.r_[0.0, np.cumsum(sides_m)[:-1]], np.array(sides_m), len(sides_m)

@@ -1,5 +1,6 @@
 """What studies decide, where the answer is known: few seeds of the cases of `benchmarks.decisions`."""
 
+import json
 import math
 from enum import Enum
 
@@ -7,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import jaxurban as ju
 from benchmarks.decisions import border_outcome, open_map, random_case
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters
 from jaxurban.statistics.conclusions import (
@@ -17,7 +19,15 @@ from jaxurban.statistics.conclusions import (
     runs_needed,
     sized,
 )
-from jaxurban.studies.decided import Measure, border_verdict, edge_band, effects, is_at_edge, ranked
+from jaxurban.studies.decided import (
+    Measure,
+    border_verdict,
+    edge_band,
+    effects,
+    is_at_edge,
+    ranked,
+    wider_bounds,
+)
 
 NUM = 60
 
@@ -139,8 +149,33 @@ def test_the_border_is_not_decided_by_more_routes():
     assert verdict.sentence.startswith("1 of 3 routes comes within 3 cells of the border")
     assert not verdict.is_decided
     assert border_verdict(np.zeros(3, bool)) == []
-    conclusion = concluded([verdict], more="{needed} more", done="done", wider="wider")
-    assert conclusion.next_command == "wider"
+    for wider, command in (
+        ("wider", "wider"),
+        ("", "done"),
+    ):  # no wider maps where their source ends
+        conclusion = concluded([verdict], more="{needed} more", done="done", wider=wider)
+        assert conclusion.next_command == command
+
+
+def test_wider_bounds_end_where_the_source_of_the_buildings_does():
+    """Of 400 x 300 m a quarter is 100 m and 75 m; degrees of four digits are some 10 m."""
+    maps = open_map({"gps": np.ones((30, 40))})
+    west, south, east, north = maps.grid.bounds_m
+    far = 1e4
+    for known_m, wanted_m in (
+        ((-far, -far, far, far), (-100, -75, 100, 75)),
+        ((-50, -far, 0, 60), (-50, -75, 0, 60)),
+        ((40, 40, -40, far), (0, 0, 0, 75)),
+    ):
+        known = np.add((west, south, east, north), known_m)
+        inside = ju.MetricMaps(maps.ds.assign_attrs(known_bounds_m=known.tolist()))
+        lonlat = np.reshape(json.loads(wider_bounds(inside)), (2, 2))
+        wanted = np.add((west, south, east, north), wanted_m)
+        assert np.ravel(maps.grid.xy_at(lonlat)) == pytest.approx(wanted, abs=10)
+    nowhere = ju.MetricMaps(maps.ds.assign_attrs(known_bounds_m=[west, south, east, north + 20]))
+    assert wider_bounds(nowhere) == ""
+    quarter = np.reshape(json.loads(wider_bounds(maps)), (2, 2))  # maps that do not say
+    assert np.ptp(maps.grid.xy_at(quarter), axis=0) == pytest.approx((600, 450), abs=20)
 
 
 def test_a_conclusion_has_three_lines_and_plain_records():
@@ -160,6 +195,19 @@ def test_a_conclusion_has_three_lines_and_plain_records():
         ("more", True),
         ("tied", False),
     ]
+    assert [each["sentence"] for each in records] == [known.sentence, unknown.sentence]
+    table = Conclusion((known,) * 5, "done").table
+    assert table.sentence.tolist() == [known.sentence] * 5
+    assert table.loc[4, ["size", "low", "high", "n", "unit"]].tolist() == [
+        1.312,
+        0.92,
+        1.7,
+        40,
+        "%",
+    ]
+    line = Conclusion((known,) * 5, "done").facts["decided"]
+    assert line.count(known.sentence) == 3
+    assert line.endswith("; 2 more in tables/verdicts.csv.")
     assert Conclusion((), "done").facts == {
         "decided": "Nothing.",
         "not decided": "Nothing.",

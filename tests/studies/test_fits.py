@@ -9,6 +9,7 @@ import xarray as xr
 
 import jaxurban as ju
 from jaxurban.fit import FitSettings, Target, fit_targets, fit_weights
+from jaxurban.statistics.conclusions import SharedVerdict
 from jaxurban.studies.demonstrations import (
     Demonstration,
     demonstration_from_line,
@@ -43,7 +44,7 @@ def test_hidden_weights_come_back_from_optimal_routes_and_their_intervals_hold_t
     assert fit.sentence.startswith("These routes follow these metrics: at best they cost 0")
     lines = f"{fit}".splitlines()
     assert [line.partition(":")[0] for line in lines[:3]] == ["decided", "not decided", "next"]
-    assert lines[3] == fit.sentence
+    assert lines[3] == f"fit: {fit.sentence}"
     assert lines[6].split()[:2] == ["distance", f"{fit.vector[0]:.3g}"]
     hidden = VECTOR / VECTOR.sum()
     low, high = fit.table[["low", "high"]].to_numpy().T
@@ -191,10 +192,10 @@ def test_a_fit_of_routes_that_turn_one_corner_says_first_that_they_do_not_follow
     best = f"at best they cost {100 * fit.best_mean_regret:.3g} % more than the cheapest ones"
     assert fit.best_mean_regret > 0.05
     lines = f"{fit}".splitlines()[3:]
-    assert lines[0].startswith(f"These routes do not follow these metrics: {best}")
+    assert lines[0].startswith(f"fit: These routes do not follow these metrics: {best}")
     assert sum(best in line for line in lines) == 1
     assert lines.index(fit.cautions[-1]) < next(
-        k for k, line in enumerate(lines) if line.startswith("distance ")
+        k for k, line in enumerate(lines) if line.lstrip().startswith("distance ")
     )
 
 
@@ -335,7 +336,8 @@ def test_a_wish_that_the_weights_meet_leaves_them_and_is_tested_on_all_routes(sm
     assert fit.sentence == "All targets are met without the wish: keep the weights as they are."
     assert fit.is_held_out.all()
     assert (fit.tested.change == 0).all()
-    first, second = fit.decided.verdicts
+    first, second, border = fit.decided.verdicts
+    assert border.kind is SharedVerdict.BORDER
     assert first.sentence.startswith("mean_gps >= 0.05 is met without the wish already: 0.")
     assert first.is_decided
     assert second.is_decided

@@ -164,6 +164,14 @@ def test_the_report_holds_every_table_figure_and_sentence(study, tmp_path):
     assert len(list((tmp_path / "figures").glob("*.png"))) == 1
     assert "nan" not in report
     assert report.count("© a made city") == 1
+    rows = study.rows[study.rows.objective == "weighted"]
+    solvers = rows[rows.status.isin([each.value for each in base.Status if each.has_path])]
+    by_pair = solvers.groupby(["instance", "altitude_m"]).planner.nunique()
+    all_solve = by_pair[by_pair == rows.planner.nunique()].index.get_level_values("instance")
+    assert f"All planners solve {all_solve.nunique()} of the instances" in report
+    assert all_solve.nunique() > 0
+    verdicts = pd.read_csv(tmp_path / "tables" / "verdicts.csv").sentence.tolist()
+    assert verdicts == [each.sentence for each in study.decided.verdicts]
 
 
 def unsolved(study, where, status):

@@ -95,6 +95,23 @@ def test_tables_have_units_and_pictures_show_themselves_and_fill_a_cell_of_anoth
     assert faults(page) == []
 
 
+@pytest.mark.parametrize(
+    ("names", "what"),
+    [
+        (["study"], "by bootstrap over instances, of which *n* count"),
+        (["sensitivity"], "by bootstrap over pairs of places, as many as the first table says"),
+        (["compare"], "by bootstrap over the {pairs} pairs of places"),
+        (["targets"], "by bootstrap over the *n* pairs of ends"),
+        (["imitation", "held_out"], "by bootstrap over {fit.num_tested} pairs of ends"),
+    ],
+)
+def test_each_report_says_once_what_its_intervals_are(names, what):
+    templates = Path(ju.__file__).parent / "studies" / "templates"
+    text = "".join((templates / f"{name}.md").read_text() for name in names)
+    assert text.count("95 %") == text.count(what) == 1
+    assert re.search("each for itself|at once", text)
+
+
 def test_a_picture_fills_only_a_cell_of_a_grid():
     summary = pd.DataFrame({"cut": ["all"], "value": "all", "weight_name": "gps", "regret": 0.1})
     summary = summary.assign(regret_low=0.05, regret_high=0.2)

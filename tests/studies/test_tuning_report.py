@@ -60,7 +60,7 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     assert parts[:2] == ["Fitted weights", "Routes under the weights"]
     assert parts[2:] == ["How sure", "How to use the weights", "Files"]
     assert "4 further routes were held out" in report
-    assert "first lines, over 4 pairs of ends" in report
+    assert "interval by bootstrap over 4 pairs of ends" in report
     assert report.count("© a made city") == 1
     for figure in ("weights", "routes_1"):
         assert (out / "figures" / f"{figure}.png").is_file()

@@ -4,7 +4,7 @@ import hashlib
 
 import pandas as pd
 
-from jaxurban.draw.write import ResultReport, bullets, first_lines, interval, table, without_ends
+from jaxurban.draw.write import ResultReport, bullets, interval, table, without_ends
 from jaxurban.io.tracks import CN0, LAT, LON, SATELLITE, UTC
 from jaxurban.receivers.report import HEADS, ROWS, satellite_figures
 from jaxurban.receivers.validation.logs import EPOCH
@@ -33,7 +33,6 @@ def validation_report(result: ReceiverValidation) -> ResultReport:
             "tables": {"scores": score_texts(result.scores)},
             "credits": [result.attribution],
             "result": result,
-            "lines": first_lines(result.decided.facts),
             "fewest": FEWEST_GROUPS,
             "facts": table(("", ""), result.track_facts.items()),
             "cautions": bullets(cautions),
@@ -50,6 +49,7 @@ def validation_report(result: ReceiverValidation) -> ResultReport:
             "scenario": result.scenario,
             "settings": result.settings.to_dict(),
         },
+        decided=result.decided,
     )
 
 

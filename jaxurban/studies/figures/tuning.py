@@ -33,25 +33,26 @@ PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes st
 def plot_weights(fit: WeightFit, ax: Axes | None = None) -> Figure:
     """Return each fitted weight as a dot with its interval, on a logarithmic scale.
 
-    A weight of 0, or one that the routes do not identify, has no dot; a dot without an interval is hollow.
+    A weight of 0 is a triangle at the upper end of its interval, and nothing where this is 0 too, as where the routes
+    do not identify it; a dot without an interval is hollow.
     """
     # A row per weight, with the ends of its interval named as `dots` expects them; NaN where there is no dot.
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
-    table = table.where(table.weight > 0)
+    is_0 = table.weight == 0
+    drawn = table.weight.mask(is_0, table.weight_high)
+    table["weight"] = drawn.where(drawn > 0)
     heading = "Fitted weights and their intervals"
     figure, (panel,) = panels(1, heading, height_in=0.3 * len(table), ax=ax)
     for place, name in enumerate(table.index):
-        dots(
-            panel,
-            np.array([place]),
-            table.loc[[name]],
-            "weight",
-            color=line_colour(name),
-            marker="o",
-        )
-    panel.set(xscale="log", xlabel="weight (bars that leave the axis reach 0)")
+        marker = "<" if is_0[name] else "o"
+        row = table.loc[[name]]
+        dots(panel, np.array([place]), row, "weight", color=line_colour(name), marker=marker)
+    panel.set(
+        xscale="log",
+        xlabel="weight, of a sum of 1 (triangle: at most; bars that leave the axis reach 0)",
+    )
     show_plain_log(panel.xaxis)
-    name_rows(panel, table.index.to_list())
+    name_rows(panel, (table.index + ", " + table.unit).to_list())
     return figure
 
 
@@ -118,7 +119,7 @@ def plot_fitted_routes(
         if query.cost_map is not cost_map:
             continue
         lines_m = demonstration.points_m + southwest_m, route.points_m + southwest_m
-        draw_lines(panel, lines_m, (DEMONSTRATION_COLOUR, PLANNED_COLOUR))
+        draw_lines(panel, lines_m, (DEMONSTRATION_COLOUR, PLANNED_COLOUR), ["-", "--"])
         ends_m = grid.xy_of_cell(*query.start), grid.xy_of_cell(*query.goal)
         mark_ends(panel, *ends_m, size=0.68)
     return figure

@@ -237,11 +237,12 @@ def conclusion(
     first = instances.iloc[0]
     ends = ends_option(maps.grid, first[[*IN_METRES]].to_numpy(float).reshape(2, 2))
     num = table.instance.nunique()
+    bounds = wider_bounds(maps)
     more = "--set study.instances="
     return concluded(
         verdicts,
         more=f"{again} {more}{{needed}}",
-        wider=f'{again}-wider {more}{num} --set "region.bounds={wider_bounds(maps.grid)}"',
+        wider=bounds and f'{again}-wider {more}{num} --set "region.bounds={bounds}"',
         done=f"jaxurban plan {folder} {ends} --altitude {first.altitude_m:g} --planner {planner}",
         ran=num,
     )

@@ -18,7 +18,7 @@ from jaxurban.draw.frame import (
     time_said,
 )
 from jaxurban.draw.style import difference_colours
-from jaxurban.draw.write import Markdown, ResultReport, bullets, first_lines, plain
+from jaxurban.draw.write import Markdown, ResultReport, bullets, plain
 from jaxurban.metrics.base import TIME
 from jaxurban.studies.map_comparison import MapComparison
 
@@ -102,7 +102,7 @@ def comparison_report(result: MapComparison) -> ResultReport:
             "credits": [result.a.attribution, result.b.attribution],
             "names": result.names,
             "facts": result.a.facts,
-            "lines": first_lines(result.decided.facts),
+            "pairs": routes.pair.nunique() if len(routes) else 0,
             "settings": bullets(settings) or "None that is known.",
             "left_out": ", ".join(result.left_out) or "nothing",
             "pictures": Markdown("\n\n".join(pictures)) or "None: no layer differs.",
@@ -114,4 +114,5 @@ def comparison_report(result: MapComparison) -> ResultReport:
             "routes": len(routes) // len(result.a.altitudes_m),
             "values": crc32((table.to_csv() + routes.to_csv()).encode()),
         },
+        decided=result.decided,
     )

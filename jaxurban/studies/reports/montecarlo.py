@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxurban.draw.paths import plot_paths
-from jaxurban.draw.write import Figures, ResultReport, first_lines, joined_with_and
+from jaxurban.draw.write import Figures, ResultReport, joined_with_and
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS
@@ -93,6 +93,7 @@ def benchmark_report(result: BenchmarkResult) -> ResultReport:
         "credits": [result.maps.attribution],
         "num_instances": table.instance.nunique(),
         "num_runs": len(table),
+        "num_all_solve": weighted.groupby(KEY).has_path.all().groupby("instance").any().sum(),
         "planners": joined_with_and(sorted(table.planner.unique())),
         "grid": result.maps.grid,
         "budget": budget,
@@ -105,7 +106,6 @@ def benchmark_report(result: BenchmarkResult) -> ResultReport:
         "num_odd": table.status.isin(["invalid", "bad-input"]).sum(),
         "fewest": FEWEST_GROUPS,
         "fewest_runs": FEWEST_RUNS,
-        "lines": first_lines(result.decided.facts),
     }
     files = {f"{name}.csv": table for name, table in tables.items()}
-    return ResultReport("studies/templates/study", fields, files, figures)
+    return ResultReport("studies/templates/study", fields, files, figures, decided=result.decided)

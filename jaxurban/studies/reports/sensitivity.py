@@ -16,7 +16,6 @@ from jaxurban.draw.write import (
     ResultReport,
     bullets,
     files_of,
-    first_lines,
     framed,
     joined_with_and,
 )
@@ -25,7 +24,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
-from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded
+from jaxurban.statistics.conclusions import VERDICTS, Conclusion, Verdict, concluded
 from jaxurban.studies.decided import FEWEST_RUNS, wider_bounds
 from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes, plot_regret
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
@@ -53,6 +52,7 @@ TABLES = [
 FILES = files_of(
     [
         *(f"tables/{name}" for name in TABLES),
+        VERDICTS,
         "figures/regret.png",
         "figures/switch_routes.png",
         REPORT_FILE,
@@ -172,6 +172,7 @@ class Sensitivity(StudyResult):
 
         # The same over maps of wider bounds: of one route its ends, of many as many.
         place = f"{first.folder or 'DIR'}-wider"
+        bounds = wider_bounds(first)
         again = f"--routes {self.instances.instance.nunique()}"
         if self.route:
             ends_m = self.instances[[*IN_METRES]].to_numpy(float).reshape(2, 2)
@@ -182,8 +183,9 @@ class Sensitivity(StudyResult):
             verdicts,
             more=command + " {needed}",
             done=others,
-            wider=f'jaxurban maps {first.folder or "SCENARIO"} -o {place} --set "region.bounds='
-            f'{wider_bounds(first.grid)}" && jaxurban sensitivity {place} {options}-wider {again}',
+            wider=bounds
+            and f'jaxurban maps {first.folder or "SCENARIO"} -o {place} --set "region.bounds={bounds}"'
+            f" && jaxurban sensitivity {place} {options}-wider {again}",
             factor=1 / len(self.maps),
         )
 
@@ -205,7 +207,6 @@ def sensitivity_report(result: Sensitivity) -> ResultReport:
     fields = {
         "tables": {"cities": _cities(result), **shown_tables(tables)},
         "credits": [maps.attribution for maps in result.maps.values()],
-        "lines": first_lines(result.decided.facts),
         "lost": framed(reasons) if len(reasons) else "",
         "skipped": bullets(skipped),
         "route": _route_said(result.route),
@@ -217,7 +218,9 @@ def sensitivity_report(result: Sensitivity) -> ResultReport:
         "fewest_runs": FEWEST_RUNS,
         "small": joined_with_and(small) if small else "none",
     }
-    return ResultReport("studies/templates/sensitivity", fields, tables, figures)
+    return ResultReport(
+        "studies/templates/sensitivity", fields, tables, figures, decided=result.decided
+    )
 
 
 def _route_said(route: OneRoute | None) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain, compress
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from jaxurban.draw.write import (
     code,
     files_of,
     fill,
-    first_lines,
     paragraphs,
     save,
 )
@@ -30,11 +29,8 @@ from jaxurban.metrics.weights import Weights, check_held
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import reporting
-from jaxurban.studies.demonstrations import (
-    Demonstration,
-    compared_demonstrations,
-    optimal_demonstrations,
-)
+from jaxurban.statistics.conclusions import VERDICTS
+from jaxurban.studies.demonstrations import Demonstration, compared_demonstrations
 from jaxurban.studies.figures.tuning import plot_fitted_routes, plot_weights
 from jaxurban.studies.montecarlo.sampling import sample_instances
 from jaxurban.studies.queries import command_to_plan, maps_of, weights_option
@@ -114,9 +110,10 @@ def run_tuning(
             "fit": dict(settings.fits),
             "max_rounds": settings.fit.max_rounds,
             "seed": settings.fit.seed,
+            "pilot": settings.pilot and settings.pilot.to_dict(),
         }
         pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(routes))]
-        names = files_of([*TABLES, *pictures, REPORT_FILE])
+        names = files_of([*TABLES, VERDICTS, *pictures, REPORT_FILE])
         with Workspace.open(folder, "tune", key, names=names, overwrite=overwrite):
             # The fit, to targets or to routes. Fits to routes leave those out that are held out from them.
             report("rounds")
@@ -124,28 +121,17 @@ def run_tuning(
             options = {"hold_out": None, **settings.fits}
             settings_of_fit = replace(settings.fit, progress=report)
             if targets:
-                before = settings.pilot or Weights()
                 queries = [each.query for each in routes]
-                fit = fit_targets(
-                    queries, targets, before=before, **options, settings=settings_of_fit
-                )
-                routes = optimal_demonstrations(queries, before)
+                options["before"] = settings.pilot
+                fit = fit_targets(queries, targets, **options, settings=settings_of_fit)
             else:
                 fit = fit_weights(routes, **options, settings=settings_of_fit)
-                routes = list(compress(routes, ~fit.is_held_out))
 
-            # The routes under the fitted weights, and all files.
-            fit = replace(fit, commands=settings.commands)
-            report("routes under the fitted weights")
-            planned = optimal_demonstrations([each.query for each in routes], fit.weights)
-
+            # All files, with the routes under the fitted weights.
             report("figures and report")
             origins = [_origin(source, files, settings) for source, files in sources.items()]
-            texts = {
-                "targets": ", ".join(map(str, targets)),
-                "sources": Markdown("; ".join(origins)),
-            }
-            save(folder, fit_report(fit, routes, planned, texts).outputs)
+            fit = replace(fit, commands=settings.commands, origin=Markdown("; ".join(origins)))
+            save(folder, fit_report(fit).outputs)
     return _facts(fit, folder)
 
 
@@ -209,28 +195,15 @@ def _routes_on(
     return demonstrations(instances[instances.is_connected], maps, pilot=pilot, **options)
 
 
-def fit_report(
-    fit: WeightFit | TargetFit,
-    demonstrated: Sequence[Demonstration],
-    planned: Sequence[Demonstration],
-    texts: Mapping[str, str],
-) -> ResultReport:
-    """Return what a fit writes.
-
-    Args:
-      fit: the fit of the weights, to routes or to targets.
-      demonstrated: ``N`` routes, at least one: those that were fitted, or the routes without the wish.
-      planned: ``N`` routes between the same ends under the fitted weights.
-      texts: for the report: ``sources`` of the routes, and ``targets``.
-    """
+def fit_report(fit: WeightFit | TargetFit) -> ResultReport:
+    """Return what a fit writes."""
     # The maps by the names of their pictures, the weights [K], and a table of the routes.
-    pictures = _pictures(demonstrated)
-    first = next(iter(pictures.values()))
+    pictures = _pictures(fit.routes)
     vector = fit.weights.vector(fit.names)
     num_held_out = int(fit.is_held_out.sum())
-    routes = compared_demonstrations(demonstrated, planned)
+    routes = compared_demonstrations(fit.routes, fit.planned)
     tables = {}
-    fields = dict[str, Any](texts)
+    fields: dict[str, Any] = {}
     figures: Figures = {}
     others: Outputs = {"learning_curve": fit.curve}
 
@@ -238,7 +211,6 @@ def fit_report(
     if isinstance(fit, WeightFit):
         template = "studies/templates/imitation"
         noun = "demonstration"
-        weights = fit.table.reset_index()
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         figures["weights"] = partial(plot_weights, fit)
         fields["cautions"] = bullets(fit.cautions)
@@ -247,36 +219,32 @@ def fit_report(
     else:
         template = "studies/templates/targets"
         noun = "usual route"
-        weights = pd.DataFrame({"name": fit.names, "weight": vector})
         tables["outcomes"] = others["targets"] = fit.outcomes.reset_index()
         tables["tested"] = others["tested"] = fit.tested
-        fields["tested"] = num_held_out or len(demonstrated)
+        fields["tested"] = num_held_out or len(routes)
+        fields["targets"] = ", ".join(map(str, fit.targets))
         fields["seen"] = "none" if num_held_out else "all"
 
     # What every fit has: tables of its weights and of its routes, and a picture of the routes on each map.
-    model = first.cost_model
-    unit = f"per {model.reference_length_m:g} m flown"
-    if model.kind == "cell":
-        unit = "per cell entered"
-    units = {"distance": "per metre"} | dict.fromkeys(first.names, unit)
-    weights = weights.assign(unit=weights["name"].map(units))
+    weights = fit.table.reset_index()
     others |= {"weights": weights, "examples": routes}
     for name, cost_map in pictures.items():
-        figures[name] = partial(plot_fitted_routes, demonstrated, planned, cost_map, vector, noun)
+        figures[name] = partial(plot_fitted_routes, fit.routes, fit.planned, cost_map, vector, noun)
     setting = _setting([*pictures.values()])
     fields |= {
         "tables": tables | {"weights": weights, "setting": setting, "means": _means(routes)},
         "credits": [cost_map.maps.attribution for cost_map in pictures.values()],
         "fit": fit,
-        "lines": first_lines(fit.decided.facts),
         "num": len(routes),
         "overlap": routes["overlap"].mean(),
         "pictures": paragraphs(*(Markdown(f"![Routes](figures/{name}.png)") for name in pictures)),
-        "unit": first,
-        "command": command_to_plan(planned[0].query, fit.weights),
-        "where": _where(first),
+        "command": command_to_plan(fit.queries[0], fit.weights),
+        "pilots": Markdown(" or ".join(map(code, fit.pilots)) or "not on record"),
     }
-    return ResultReport(template, fields, figures=figures, others=others)
+    key = {"weights": fit.weights.to_dict(), "routes": str(fit.origin), "pilots": list(fit.pilots)}
+    return ResultReport(
+        template, fields, figures=figures, others=others, key=key, decided=fit.decided
+    )
 
 
 def _pictures(demonstrated: Sequence[Demonstration]) -> dict[str, CostMap]:
@@ -317,6 +285,7 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "message": fit.sentence,
         "weights": fit.weights.to_dict(),
         "weights_option": weights_option(fit.weights),
+        "pilots": list(fit.pilots),
         "num_plans": fit.num_plans,
         "elapsed_s": fit.elapsed_s,
         "decided": fit.decided.to_dict(),
@@ -332,11 +301,3 @@ def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
         "is_met": fit.is_met,
         "outcomes": fit.outcomes.reset_index().to_dict("records"),
     }
-
-
-def _where(cost_map: CostMap) -> str:
-    """Return the end of a sentence on weights: on which cells, or with which reference length, they apply."""
-    if cost_map.cost_model.kind == "cell":
-        side = f"{cost_map.grid.resolution_m:g} m"
-        return f"on cells of {side} (a step costs by the cell, so other sizes need other ones)"
-    return f"with a reference length of {cost_map.cost_model.reference_length_m:g} m"

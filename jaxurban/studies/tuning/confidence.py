@@ -39,6 +39,7 @@ class FitVerdict(Enum):
         "ends that are held out"
     )
     WEIGHED = "the weight of {first} is {size}"
+    AT_MOST = "the weight of {first} is at most {high}, which adds less than {share} to the cost of any route"
     CONSTANT = "{first} is the same everywhere on these maps: its weight cannot be identified and is left at 0"
     STEPS = (
         "{first} is the same everywhere on these maps: its weight cannot be identified and stands for the steps that "
@@ -174,15 +175,18 @@ def constant_layers(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
     )
 
 
-def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray:
+def feature_units(
+    queries: Sequence[RouteQuery], demo: np.ndarray, least: float = LEAST_COST
+) -> np.ndarray:
     """Return ``[K]`` the size of each feature: its mean over routes.
 
-    That of a metric is at least a cost of `LEAST_COST` at every step. This floor keeps weights finite where every
-    demonstration avoids a cost altogether.
+    That of a metric is at least its cost where c is ``least`` at every step. This floor keeps weights finite where
+    every demonstration avoids a cost altogether.
 
     Args:
       queries: of the routes; their maps say how long a step is.
       demo: ``[Q, K]`` features of the routes, metres first.
+      least: c, at most 1, with which a metric costs the most that it can.
     """
     # Steps of the mean route: cells, or reference lengths under the cost model ``line``.
     first = queries[0].cost_map
@@ -190,7 +194,7 @@ def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray
     if first.cost_model.kind == "line":
         step_m = first.cost_model.reference_length_m
     num_steps = demo[:, 0].mean() / step_m
-    floor = np.full(demo.shape[1], LEAST_COST * num_steps)
+    floor = np.full(demo.shape[1], least * num_steps)
     floor[0] = 0.0  # the length has none
     return np.maximum(demo.mean(axis=0), floor)
 

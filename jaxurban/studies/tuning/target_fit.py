@@ -20,13 +20,14 @@ from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.programs import kept_jit
 from jaxurban.progress import Report, reporting
 from jaxurban.statistics.conclusions import Conclusion
+from jaxurban.studies.demonstrations import Demonstration, optimal_demonstrations
 from jaxurban.studies.queries import (
     LENGTH,
     PEOPLE,
     RouteQuery,
     check_alike,
-    command_to_plan,
     outcomes_of,
+    weight_units,
     weights_from,
 )
 from jaxurban.studies.route_pool import (
@@ -37,6 +38,7 @@ from jaxurban.studies.route_pool import (
 )
 from jaxurban.studies.tuning.confidence import feature_units, without_dust
 from jaxurban.studies.tuning.fenchel_young import adam
+from jaxurban.studies.tuning.fitted import GIVEN, FitResult
 from jaxurban.studies.tuning.target import DETOUR, MEAN, Target
 from jaxurban.studies.tuning.tested import FitCommands, split, tested_outcomes, wish_verdicts
 
@@ -57,13 +59,14 @@ LEAST_SHARE = 1e-3  # of the cost of a layer: as much as none where ratios of we
 IN_PYTHON = FitCommands("ju.fit.fit_targets(queries, targets, hold_out={share})")
 
 
-@dataclass(frozen=True, eq=False)
-class TargetFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetFit(FitResult):
     """Weights fitted to targets.
 
     Attributes:
       names: ``"distance"`` and the metrics.
       weights: they sum to 1; where those without the wish meet all targets, these very weights.
+      table: a row for each, by its name: ``weight``, and its ``unit``, per what it is.
       outcomes: a row per target: wished (its bound), shortest (what the shortest routes give), reached, missed_by
         (share of the bound), is_met; by planned routes, without noise.
       is_met: all targets are met within 2 %.
@@ -74,9 +77,10 @@ class TargetFit:
       is_held_out: ``[Q]`` bool: the queries that the weights were not fitted to.
       tested: on those queries, or on all where none is held out: what routes are like without the wish and with it, a
         row per target and then per other outcome (`jaxurban.studies.tuning.tested.tested_outcomes`).
-      queries: all ``Q``.
+      routes: those of all ``Q`` queries without the wish.
       is_kept: nothing was fitted, as the weights without the wish meet all targets.
       commands: what fits again.
+      origin: of the queries, in words.
 
     Examples:
       >>> queries = ju.studies.make_queries(ju.cost_map(maps, 60.0), [(start, goal)])
@@ -87,6 +91,7 @@ class TargetFit:
 
     names: tuple[str, ...]
     weights: Weights
+    table: pd.DataFrame
     outcomes: pd.DataFrame
     is_met: bool
     is_in_budget: bool
@@ -96,9 +101,10 @@ class TargetFit:
     targets: tuple[Target, ...]
     is_held_out: np.ndarray
     tested: pd.DataFrame
-    queries: tuple[RouteQuery, ...]
+    routes: tuple[Demonstration, ...]
     is_kept: bool
     commands: FitCommands = IN_PYTHON
+    origin: str = GIVEN
 
     @property
     def num_pairs(self) -> int:
@@ -115,7 +121,12 @@ class TargetFit:
         if needed:
             share = float(self.is_held_out.mean())
             command = self.commands.holding_out(needed, self.num_pairs, share)
-        return Conclusion(verdicts, command or command_to_plan(self.queries[0], self.weights))
+        return Conclusion((*verdicts, *self.border), command or self.last_command)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What it decided, and whether all targets are met."""
+        return self.decided.facts | {"fit": self.sentence}
 
     @property
     def sentence(self) -> str:
@@ -186,7 +197,8 @@ def fit_targets(
     wanted = _wanted(targets, names)
     group, _ = pd.factorize(pd.Series([(query.start, query.goal) for query in queries]))
     is_held_out = split(np.zeros(len(queries)), group, hold_out, settings.seed)
-    without = (before or Weights()).vector(names)
+    before = before or Weights()
+    without = before.vector(names)
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         search_on = partial(
             _Search.of, wanted, without, settings, begin_s + settings.budget_s, report
@@ -207,6 +219,10 @@ def fit_targets(
     return TargetFit(
         names=names,
         weights=weights_from(queries[0], best.weights),
+        table=pd.DataFrame(
+            {"weight": best.weights, "unit": weight_units(queries[0].cost_map)},
+            pd.Index(names, name="name"),
+        ),
         outcomes=_outcome_table(wanted, best, at_shortest),
         is_met=bool(np.all(best.missed <= MET)),
         curve=pd.DataFrame(best.rows),
@@ -216,7 +232,7 @@ def fit_targets(
         targets=wanted,
         is_held_out=is_held_out,
         tested=tested_outcomes(tested_on, wanted, np.stack([without, best.weights])),
-        queries=tuple(queries),
+        routes=tuple(optimal_demonstrations(queries, before)),
         is_kept=is_kept,
     )
 

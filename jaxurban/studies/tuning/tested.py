@@ -52,12 +52,14 @@ class FitCommands(NamedTuple):
       more: ``{needed}`` routes that are drawn; empty where routes are only as they were given.
       folder: beside which further studies are kept; empty: the folder of the maps.
       sample: number of routes that were drawn, of which a path joins the pairs of ends of the fit; None: none were.
+      wider: the same over maps of wider ``{bounds}``; empty where these are not of one folder.
     """
 
     again: str
     more: str = ""
     folder: str = ""
     sample: int | None = None
+    wider: str = ""
 
     def holding_out(self, needed: float, num_pairs: int, share: float) -> str:
         """Return the command of a fit that is tested on as many pairs of ends as are needed; empty where none is known.
@@ -194,7 +196,7 @@ def wish_verdicts(
         about = size, low, high, row["n"], row["unit"], PAIRS, needed, facts
         verdicts.append(Verdict(kind, (label,), *about))
     needs = [each.needed for each in within_reach(verdicts)] if is_tested else [FEWEST_GROUPS]
-    return tuple(verdicts), next(iter(needs), 0.0)
+    return tuple(verdicts), max(needs, default=0.0)
 
 
 def _kind_of(is_met: bool, needed: float, is_kept: bool) -> WishVerdict:

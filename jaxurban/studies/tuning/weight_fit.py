@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.checks import at_least, typed
+from jaxurban.knowledge import Caution
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, Clusters, Interval
@@ -19,20 +20,22 @@ from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import (
     RouteQuery,
     check_alike,
-    command_to_plan,
     command_to_vary,
     maps_of,
+    weight_units,
     weights_from,
 )
 from jaxurban.studies.route_pool import FitSettings, RoutePool
 from jaxurban.studies.tuning.confidence import (
     FitVerdict,
     constant_layers,
+    feature_units,
     indistinct_weights,
     without_dust,
 )
 from jaxurban.studies.tuning.fenchel_young import trust_of, usual_regret
-from jaxurban.studies.tuning.tested import FitCommands, split
+from jaxurban.studies.tuning.fitted import GIVEN, FitResult
+from jaxurban.studies.tuning.tested import PAIRS, FitCommands, split
 from jaxurban.studies.tuning.weight_fit_rounds import (
     FitUnderWay,
     city_numbers,
@@ -50,10 +53,11 @@ FEW = 2  # demonstrations per weight
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
 NEGLIGIBLE = 1e-3  # share of all metrics in the cost: without them no regret changes by more
+SMALL = 0.05  # share of the least cost of routes: a weight that adds no more where c is 1 everywhere is next to 0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WeightFit:
+class WeightFit(FitResult):
     """Weights fitted to demonstrations. ``K`` weights, ``Q`` demonstrations that were fitted of ``N``.
 
     Attributes:
@@ -63,7 +67,7 @@ class WeightFit:
         bootstrap fits, widened to all weights that explain the demonstrations as well (of lines that were redrawn on
         the grid: that explain any routes within 3 cells of them as well), NaN without bootstrap; ``share_of_cost``, the
         part of the demonstrations' cost that the weight makes up; ``spread``, w_j x std(phi_j) over the demonstrations,
-        scaled so that all of them have the length 1 together, by which fits can be compared.
+        scaled so that all of them have the length 1 together, by which fits can be compared; ``unit``, per what it is.
       draws: ``[B, K]`` the weights of the bootstrap fits.
       regret: ``[Q]`` by which share each demonstration costs more than the cheapest route that a search finds under
         the weights.
@@ -82,8 +86,9 @@ class WeightFit:
         (some 90 %, as regrets are skewed), bad ones left out; NaN where there are none.
       num_tested: pairs of ends that this rests on.
       num_held_out, num_pairs: pairs of ends that were held out, and of all demonstrations.
-      query: of the first demonstration, which an example of the weights' use plans.
+      routes: the ``Q`` demonstrations that were fitted.
       commands: what fits again.
+      origin: of the routes, in words.
 
     Examples:
       >>> routes = ju.fit.demonstrations(path, maps)
@@ -112,8 +117,9 @@ class WeightFit:
     num_tested: int
     num_held_out: int
     num_pairs: int
-    query: RouteQuery
+    routes: tuple[Demonstration, ...]
     commands: FitCommands = IN_PYTHON
+    origin: str = GIVEN
 
     @property
     def vector(self) -> np.ndarray:
@@ -123,7 +129,7 @@ class WeightFit:
     @property
     def unidentified(self) -> tuple[str, ...]:
         """Sentences on weights that the demonstrations say nothing about."""
-        return tuple(f"{verdict.sentence}." for verdict in self.verdicts)
+        return tuple(f"{each.sentence}." for each in self.verdicts if not each.is_decided)
 
     @property
     def decided(self) -> Conclusion:
@@ -141,34 +147,36 @@ class WeightFit:
                 needed, self.num_pairs, self.num_held_out / self.num_pairs
             )
         else:
-            verdicts = [Verdict(FitVerdict.FOLLOWED, (), size, low, high, num, "%")]
+            verdicts = [Verdict(FitVerdict.FOLLOWED, (), size, low, high, num, "%", PAIRS)]
 
         # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
-        unknown = {name for verdict in self.verdicts for name in verdict.what}
+        judged = {name: verdict.needed for verdict in self.verdicts for name in verdict.what}
         table = self.table.sort_values("share_of_cost", ascending=False)
-        known = table[np.isfinite(table.high) & ~table.index.isin(unknown)]
-        verdicts += [_weight_verdict(FitVerdict.WEIGHED, row) for row in known.itertuples()]
+        known = table[np.isfinite(table.high) & ~table.index.isin([*judged])]
+        num = len(self.routes)
+        verdicts += [_weight_verdict(FitVerdict.WEIGHED, row, num) for row in known.itertuples()]
         verdicts += self.verdicts
 
-        # Where no further fit decides more: whether what is open matters to routes, else what the weights are for. An
-        # open weight of 0 is asked about at the other end of its interval.
-        if not command and not all(each.is_decided for each in verdicts):
-            folder = self.commands.folder or str(self.query.cost_map.maps.folder or "DIR")
-            is_open_at_0 = self.table.index.isin(unknown) & (self.table.weight == 0)
+        # Where no further fit decides more: whether what is open matters to routes, unless nothing can say it. An open
+        # weight of 0 is asked about at the other end of its interval.
+        if not command and not all(each.needed in (0, np.inf) for each in verdicts):
+            query = self.queries[0]
+            folder = self.commands.folder or str(query.cost_map.maps.folder or "DIR")
+            is_open_at_0 = (self.table.index.map(judged) != 0) & (self.table.weight == 0)
             asked = self.table.weight.mask(is_open_at_0, self.table.high.fillna(0.0))
-            weights = weights_from(self.query, asked.to_numpy())
-            command = command_to_vary(self.query, weights, f"{folder}-weights")
-        return Conclusion(tuple(verdicts), command or command_to_plan(self.query, self.weights))
+            weights = weights_from(query, asked.to_numpy())
+            command = command_to_vary(query, weights, f"{folder}-weights")
+        return Conclusion((*verdicts, *self.border), command or self.last_command)
 
     @property
-    def cautions(self) -> list[str]:
-        """What the demonstrations cannot say: ``unidentified`` and ``warnings``."""
-        return [*self.unidentified, *self.warnings]
+    def facts(self) -> dict[str, str]:
+        """What it decided, and whether the routes follow these metrics at all."""
+        return self.decided.facts | {"fit": self.sentence}
 
-    def __repr__(self) -> str:
-        lines = [f"{name}: {text}" for name, text in self.decided.facts.items()]
-        table = self.table.to_string(float_format="{:.3g}".format)
-        return "\n".join([*lines, self.sentence, *self.cautions, table])
+    @property
+    def cautions(self) -> list[Caution]:
+        """What the demonstrations cannot say: ``unidentified`` and ``warnings``."""
+        return [Caution(text, "guess") for text in (*self.unidentified, *self.warnings)]
 
 
 @typed
@@ -216,7 +224,7 @@ def fit_weights(
       >>> fit.regret.round(2).tolist(), round(float(fit.vector.sum()), 3)
       ([0.0, 0.0], 1.0)
       >>> list(fit.table.columns)
-      ['weight', 'low', 'high', 'share_of_cost', 'spread']
+      ['weight', 'low', 'high', 'share_of_cost', 'spread', 'unit']
     """
     at_least("bootstrap", bootstrap)
     begin_s = time.perf_counter()
@@ -258,6 +266,7 @@ def fit_weights(
             "high": np.maximum(interval[1], weights),
             "share_of_cost": cost / cost.sum(),
             "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),  # 0 / 0 is 0
+            "unit": weight_units(queries[0].cost_map),
         },
         pd.Index(names, name="name"),
     )
@@ -267,8 +276,11 @@ def fit_weights(
     for name in constant:
         kind = FitVerdict.CONSTANT if name in left_out else FitVerdict.STEPS
         open_weights.append(Verdict(kind, (name,), needed=np.inf))
-    is_felt = table.high * fit.unit > NEGLIGIBLE * (weights @ fit.unit)
-    open_weights += _wide_weights(table[is_felt & ~table.index.isin(constant)])
+    highest = table.high * feature_units(queries, fit.demo, least=1.0)
+    is_small = highest <= SMALL * (table.low @ fit.unit)
+    open_weights += _wide_weights(
+        table.assign(is_small=is_small).drop([*constant]), len(demonstrations)
+    )
     open_weights += indistinct_weights(fit.pool, fit.unit, weights, is_fitted)
     # The regret without what redrawing on the grid adds: that of the cheapest route near each demonstration.
     near = np.array([each.cheapest_near(weights) for each in demonstrations])
@@ -310,7 +322,7 @@ def fit_weights(
         num_tested=len(np.unique(group)),
         num_held_out=num_held_out,
         num_pairs=num_pairs,
-        query=queries[0],
+        routes=tuple(demonstrations),
     )
 
 
@@ -333,15 +345,25 @@ def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str
     return set(constant) - costing
 
 
-def _wide_weights(table: pd.DataFrame) -> list[Verdict]:
-    """Return which weights of a table the demonstrations leave open within a wide range."""
+def _wide_weights(table: pd.DataFrame, num: int) -> Iterator[Verdict]:
+    """Yield which weights the demonstrations leave open within a wide range, and which they say are next to 0.
+
+    Args:
+      table: of the weights; ``is_small`` where the upper end of the interval costs next to nothing anywhere.
+      num: of demonstrations.
+    """
     is_wide = np.isfinite(table.high) & (table.high > 0) & (table.low < table.high / WIDE)
-    return [_weight_verdict(FitVerdict.WIDE, row, np.nan) for row in table[is_wide].itertuples()]
+    for row in table[is_wide].itertuples():
+        kind, needed = (FitVerdict.AT_MOST, 0.0) if row.is_small else (FitVerdict.WIDE, np.nan)
+        yield _weight_verdict(kind, row, num, needed)
 
 
-def _weight_verdict(kind: FitVerdict, row: Any, needed: float = 0.0) -> Verdict:
-    """Return the verdict on a weight, by its row of a table."""
-    return Verdict(kind, (row.Index,), row.weight, row.low, row.high, needed=needed)
+def _weight_verdict(kind: FitVerdict, row: Any, num: int, needed: float = 0.0) -> Verdict:
+    """Return the verdict on a weight, by its row of a table, from a number of routes."""
+    facts = {"high": f"{row.high:.2g}", "share": f"{100 * SMALL:g} %"}
+    return Verdict(
+        kind, (row.Index,), row.weight, row.low, row.high, num, needed=needed, facts=facts
+    )
 
 
 def _verdict_sentence(
