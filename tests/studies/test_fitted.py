@@ -159,3 +159,16 @@ def test_a_wish_asks_for_as_many_routes_as_decide_all_that_is_open():
     verdicts, needed = wish_verdicts(tested, targets, is_tested=True, is_kept=False)
     assert [each.noun for each in verdicts] == [PAIRS] * 4
     assert needed == 60
+
+
+def test_what_a_wish_gains_on_other_routes_is_decided_though_the_target_is_open():
+    row = {"what": "mean_lidar >= 0.3", "unit": "", "n": 54, "largest": 0.1, "needed": 350.0}
+    wish = {"with_wish": 0.249, "with_wish_low": 0.170, "with_wish_high": 0.328}
+    gain = {"change": 0.019, "change_low": 0.007, "change_high": 0.032}
+    targets = [ju.fit.Target.parse("mean_lidar>=0.3")]
+    tested = pd.DataFrame([row | wish | gain])
+    target, gained = wish_verdicts(tested, targets, is_tested=True, is_kept=False)[0]
+    assert not target.is_decided
+    assert "lidar quality changes by 0.019 (0.007 to 0.032)" in gained.sentence
+    for is_tested, is_kept in ((False, False), (True, True)):
+        assert len(wish_verdicts(tested, targets, is_tested=is_tested, is_kept=is_kept)[0]) == 1

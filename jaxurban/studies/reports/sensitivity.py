@@ -59,8 +59,8 @@ FILES = files_of(
     ]
 )
 SAMPLED = (
-    "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
-    "anyone flies: means are over such routes, not over traffic."
+    "Routes were drawn by stratum and range in about equal numbers, only where a path joins a pair at every altitude, "
+    "not as anyone flies: means are over such routes, not over traffic."
 )
 GIVEN = (
     "The routes are those that were given: "

@@ -222,6 +222,7 @@ def fit_report(fit: WeightFit | TargetFit) -> ResultReport:
         tables["outcomes"] = others["targets"] = fit.outcomes.reset_index()
         tables["tested"] = others["tested"] = fit.tested
         fields["tested"] = num_held_out or len(routes)
+        fields["fitted"] = len(routes) - num_held_out
         fields["targets"] = ", ".join(map(str, fit.targets))
         fields["seen"] = "none" if num_held_out else "all"
 

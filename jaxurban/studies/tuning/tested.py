@@ -1,9 +1,9 @@
 """Routes that weights are not fitted to: which they are, what a wish costs on them, and which fit has more of them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -178,25 +178,43 @@ def wish_verdicts(
       is_tested: on routes that the fit did not see; else nothing is decided.
       is_kept: nothing was fitted, as the weights without the wish meet all targets.
     """
+    rows = tested.to_dict("records")
     verdicts = []
-    for number, row in enumerate(tested.to_dict("records")):
-        name = "change"
-        label = outcome_label(row["what"])
-        needed = row["needed"]
-        kind = WishVerdict.UNSEEN if needed else WishVerdict.COSTS
-        if number < len(targets):
-            name, label = "with_wish", str(targets[number])
-            kind = _kind_of(targets[number].is_met(row[name]), needed, is_kept)
-        elif is_kept or not is_tested:
-            break
-        size, low, high = (row[column] for column in interval_columns(name))
+    for target, row in zip(targets, rows, strict=False):
+        kind = _kind_of(target.is_met(row["with_wish"]), row["needed"], is_kept)
         if not is_tested:  # an interval of routes that were fitted says nothing of others
-            kind, low, high, needed = WishVerdict.SEEN, np.nan, np.nan, np.nan
-        facts = {"largest": row["largest"]}
-        about = size, low, high, row["n"], row["unit"], PAIRS, needed, facts
-        verdicts.append(Verdict(kind, (label,), *about))
+            row = row | {"with_wish_low": np.nan, "with_wish_high": np.nan, "needed": np.nan}
+            kind = WishVerdict.SEEN
+        verdicts.append(_wish_verdict(kind, str(target), row, "with_wish", row["needed"]))
+    if is_tested and not is_kept:
+        wished = [target.outcome for target in targets]
+        for outcome, row in zip([*wished, *tested["what"][len(targets) :]], rows, strict=True):
+            label = outcome_label(outcome)
+            change = (row[name] for name in interval_columns("change"))
+            if outcome in wished and runs_needed(*change, row["n"]):
+                continue  # whether the target holds is what is open
+            needed = 0.0 if outcome in wished else row["needed"]
+            kind = WishVerdict.UNSEEN if needed else WishVerdict.COSTS
+            verdicts.append(_wish_verdict(kind, label, row, "change", needed))
     needs = [each.needed for each in within_reach(verdicts)] if is_tested else [FEWEST_GROUPS]
     return tuple(verdicts), max(needs, default=0.0)
+
+
+def _wish_verdict(
+    kind: WishVerdict, label: str, row: Mapping[str, Any], name: str, needed: float
+) -> Verdict:
+    """Return what is decided of an outcome, by its row of `tested_outcomes`.
+
+    Args:
+      kind: of verdict.
+      label: the outcome, or the target.
+      row: of the table.
+      name: of the columns of its size and interval.
+      needed: further pairs of ends that would decide it.
+    """
+    interval = (row[column] for column in interval_columns(name))
+    facts = {"largest": row["largest"]}
+    return Verdict(kind, (label,), *interval, row["n"], row["unit"], PAIRS, needed, facts)
 
 
 def _kind_of(is_met: bool, needed: float, is_kept: bool) -> WishVerdict:

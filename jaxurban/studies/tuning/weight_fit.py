@@ -50,7 +50,7 @@ OPTIMAL_REGRET, OPTIMAL_DRAWN_REGRET = 0.005, 0.01
 IN_PYTHON = FitCommands("ju.fit.fit_weights(demonstrations, hold_out={share})")
 DIGITS = 6  # of percents; what is less is rounding
 FEW = 2  # demonstrations per weight
-WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
+WIDE = 6  # a weight whose interval spans a larger factor is hardly pinned down
 DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
 NEGLIGIBLE = 1e-3  # share of all metrics in the cost: without them no regret changes by more
 SMALL = 0.05  # share of the least cost of routes: a weight that adds no more where c is 1 everywhere is next to 0
@@ -379,18 +379,18 @@ def _verdict_sentence(
       best: the least mean regret that any weights reach, with what redrawing adds.
       metric_share: of the metrics in the cost; where it is negligible the routes follow distance alone.
     """
-    followed = "these metrics"
-    if metric_share <= NEGLIGIBLE:
-        followed = "distance alone and none of these metrics"
     percent = round(max(0.0, 100 * best), 4)  # rounding may bring it below 0
     share = f"at best they cost {percent:.3g} % more than the cheapest ones between their ends, on average"
     added = round(percent - 100 * regret.mean(), 2)
     if added > 0:
         share += f", of which redrawing them on the grid adds {added:.3g} %"
+    if min(best, regret.mean()) <= bar and metric_share <= NEGLIGIBLE:
+        return f"Distance alone explains these routes as well as any of these metrics: {share}."
     if min(best, regret.mean()) <= bar:
-        return f"These routes follow {followed}: {share}."
+        return f"These routes follow these metrics: {share}."
     is_trusted = trust >= DISTRUSTED
     if is_trusted.mean() > 0.5 and regret[is_trusted].mean() <= bar:
+        followed = "the distance alone" if metric_share <= NEGLIGIBLE else "these metrics"
         return f"Most of these routes, {is_trusted.sum()} of {len(trust)}, follow {followed}; with the others {share}."
     return f"These routes do not follow these metrics: {share}, under any weights that were found."
 
