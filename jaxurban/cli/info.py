@@ -13,7 +13,13 @@ import click
 from jaxurban.errors import InputError
 from jaxurban.io.samples import located
 from jaxurban.io.sniff import LIDAR, sniff
-from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
+from jaxurban.io.stored import (
+    RUN_FILE,
+    ZARR_FOLDER,
+    short_number,
+    stored_maps,
+    unfinished_said,
+)
 from jaxurban.knowledge import names_of, shown_rule
 from jaxurban.terminal.common import GIVEN, JSON_FLAG, LONLAT, Point, Settings, print_json
 from jaxurban.terminal.options import command
@@ -115,7 +121,8 @@ def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
                 "metrics": list(maps.metrics),
             }
         )
-    return facts, numbers
+    unfinished = unfinished_said(folder)
+    return facts | ({"unfinished": unfinished} if unfinished else {}), numbers
 
 
 def _closed(maps: "MetricMaps") -> dict[str, str]:

@@ -1,5 +1,7 @@
 """The folder of unfinished maps, with which the same job goes on after a kill."""
 
+import json
+import math
 import re
 from contextlib import suppress
 from dataclasses import dataclass
@@ -194,6 +196,16 @@ class WorkFolder:
             read_json(self._mark(name))
             return True
         return False
+
+    @property
+    def num_tiles(self) -> tuple[int, int]:
+        """How many tiles are finished, and how many there are: none before the Zarr is there."""
+        num_done = len(self._marks("tile_*"))
+        with suppress(OSError, ValueError, LookupError, TypeError):
+            of_cells = json.loads((self.zarr / "has_data" / ".zarray").read_bytes())
+            sides = zip(of_cells["shape"], of_cells["chunks"], strict=True)
+            return num_done, math.prod(math.ceil(cells / chunk) for cells, chunk in sides)
+        return 0, 0
 
     def finish(self, target: Path) -> None:
         """Put the assembled maps in their place, and remove the folder.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
-from jaxurban.io.stored import RUN_FILE, stored_settings
+from jaxurban.io.stored import RUN_FILE, stored_maps, stored_settings
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
 from jaxurban.maps.scenario import Scenario
@@ -170,7 +170,10 @@ def folder_of(maps: MetricMaps | str | Path) -> Path:
     Raises:
       InputError: maps that were made in memory.
     """
-    folder = maps.folder if isinstance(maps, MetricMaps) else Path(maps)
+    if not isinstance(maps, MetricMaps):
+        stored_maps(Path(maps))  # which refuses one without maps
+        return Path(maps)
+    folder = maps.folder
     if folder is None:
         raise InputError(
             "maps that were made in memory do not hold their city: give the City that they were made of"
