@@ -369,11 +369,7 @@ def _check_kind(name: str, value: Any, kinds: list[ArgumentKind], call: str) -> 
         remedy = f": write [{float(value):g}]"
     of_class = re.search(r"a dict of ([A-Z]\w+)(?! \(from)\b", accepted)
     if of_class and isinstance(value, Mapping):
-        maker = find_public(of_class[1])
-        needed = [
-            p.name for p in inspect.signature(maker).parameters.values() if p.default is p.empty
-        ]
-        remedy = f": write {{{next(iter(value))!r}: {of_class[1]}({', '.join(needed)})}}"
+        remedy = f": write {{{next(iter(value))!r}: {of_class[1]}(...)}}"
     raise InputError(f"{name} must be {accepted}, got {_shown(value)}{remedy}")
 
 
@@ -483,9 +479,7 @@ def _either(choices: Iterable[str]) -> str:
 
 
 def _shown(value: Any) -> str:
-    """Return a plain value, or a short list or dict of them, as it is written, and the type of any other."""
-    if isinstance(value, dict):
-        return f"dict of {', '.join(map(_shown, value.values())) or 'nothing'}"
+    """Return a plain value, or a short list of them, as it is written, and the type of any other."""
     if isinstance(value, list | tuple) and len(value) <= MOST_SHOWN:
         return f"{type(value).__name__} of {', '.join(map(_shown, value)) or 'nothing'}"
     return repr(value) if isinstance(value, str | numbers.Number | None) else type(value).__name__

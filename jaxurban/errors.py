@@ -197,7 +197,7 @@ def check_file(path: str | os.PathLike[str]) -> None:
 
 
 def not_there(path: str | Path, what: str = "") -> str:
-    """Return that a path does not exist, and the nearest name beside it, or beside its first folder that is missing.
+    """Return that a path does not exist, and which name beside it is nearest.
 
     Args:
       path: of a file or a folder.
@@ -205,13 +205,11 @@ def not_there(path: str | Path, what: str = "") -> str:
     """
     from jaxurban.public import near  # imported here: it imports this module
 
-    missing = Path(path)
-    while not os.path.exists(missing.parent):
-        missing = missing.parent
-    names: list[str] = []
-    with suppress(OSError):  # a folder that this user may not list
-        names = near(missing.name, os.listdir(missing.parent))
-    hint = f" (did you mean {str(missing.with_name(names[0]))!r}?)" if names else ""
+    path = Path(path)
+    hint = ""
+    with suppress(OSError):  # a folder that is not there, or that this user may not list
+        for name in near(path.name, os.listdir(path.parent)):
+            hint = f" (did you mean {str(path.with_name(name))!r}?)"
     return f"{what or repr(str(path))} does not exist{hint}: check the path"
 
 

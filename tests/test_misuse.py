@@ -80,8 +80,6 @@ PLAIN = {
         "home": START,
         "place": START,
         "places": [START, GOAL],
-        "sky.place": (-73.971, 40.7795),  # in the demo city
-        "sky_along.places": [(-73.971, 40.7795), (-73.97, 40.779)],
         "altitude_m": 20.0,
         "progress": False,
         "bounds": BOUNDS,
@@ -438,7 +436,7 @@ WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
         (
             "build_maps",
             {"layers": {"noise": np.zeros((2, 2))}},
-            "got dict of ndarray: write {'noise': Layer(source, cost, scale)}",
+            "got dict: write {'noise': Layer(...)}",
         ),
         ("FitSettings", {"max_rounds": True}, "max_rounds must be a whole number, got True"),
         ("SensitivitySettings", {"seed": -1}, "seed must be a whole number from 0 up, got -1"),
@@ -472,7 +470,7 @@ def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy_
         (lambda: ju.plot.plot_sky("out/maps"), "of must be SkyAt (from sky, as in sky(maps, place, 60.0))"),
         (lambda: ju.plot.plot_city(MAPS), "city must be City (from City.from_files, sample_city or demo_city), got M"),
         (lambda: ju.sky("out/maps", START, 60.0), "'out/maps' does not exist"),
-        (lambda: ju.sky(ju.demo_city(400, 400), START[::-1], 60.0), "place: the point "),
+        (lambda: ju.sky(ju.demo_city(400, 400), (40.779, -73.971), 60.0), "place: the point "),
     ],
 )  # fmt: skip
 def test_a_likely_mistake_is_answered_with_its_remedy(call, sentence):

@@ -13,13 +13,7 @@ import click
 from jaxurban.errors import InputError
 from jaxurban.io.samples import located
 from jaxurban.io.sniff import LIDAR, sniff
-from jaxurban.io.stored import (
-    RUN_FILE,
-    ZARR_FOLDER,
-    short_number,
-    stored_maps,
-    unfinished_said,
-)
+from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
 from jaxurban.knowledge import names_of, shown_rule
 from jaxurban.terminal.common import GIVEN, JSON_FLAG, LONLAT, Point, Settings, print_json
 from jaxurban.terminal.options import command
@@ -121,8 +115,7 @@ def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
                 "metrics": list(maps.metrics),
             }
         )
-    unfinished = unfinished_said(folder)
-    return facts | ({"unfinished": unfinished} if unfinished else {}), numbers
+    return facts, numbers
 
 
 def _closed(maps: "MetricMaps") -> dict[str, str]:

@@ -50,20 +50,6 @@ def work_paths(folder: Path) -> list[Path]:
     return sorted((folder / ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}"))
 
 
-def unfinished_said(folder: Path) -> str:
-    """Return how many tiles of unfinished maps a folder holds, and what to do; empty where it holds none."""
-    from jaxurban.io.folders import WorkFolder  # imported here: it brings xarray
-
-    texts = []
-    for path in work_paths(folder):
-        num_done, num_tiles = WorkFolder(path).num_tiles
-        resolution = path.name.removeprefix(".").partition("m")[0]
-        texts.append(f"{num_done} of {num_tiles} tiles of {resolution} m")
-    if not texts:
-        return ""
-    return f"{', '.join(texts)}: the same `jaxurban maps` command goes on with them"
-
-
 def stored_maps(folder: Path) -> dict[float, Path]:
     """Return the folders of the Zarrs under ``folder``, as of `stored_resolutions`, of which there is one at least.
 
@@ -77,15 +63,25 @@ def stored_maps(folder: Path) -> dict[float, Path]:
             f"{not_there(folder)}, or make maps there with `jaxurban maps SCENARIO -o {folder}`"
         )
     paths = stored_resolutions(folder)
-    unfinished = "" if paths else unfinished_said(folder)
-    if unfinished:
-        raise InputError(f"{str(folder)!r} holds unfinished maps, {unfinished}")
     if not paths:
+        _check_unfinished(folder)
         raise InputError(
             f"{str(folder)!r} holds no metric maps, or not their checksums.json: make them with `jaxurban maps "
             f"SCENARIO -o {folder}`"
         )
     return paths
+
+
+def _check_unfinished(folder: Path) -> None:
+    """Raise InputError where unfinished maps lie under a folder, with how many of their tiles there are."""
+    from jaxurban.io.folders import WorkFolder  # imported here: it brings xarray
+
+    for path in work_paths(folder):
+        num_done, num_tiles = WorkFolder(path).num_tiles
+        raise InputError(
+            f"{str(folder)!r} holds unfinished maps, {num_done} of {num_tiles} tiles: the same `jaxurban maps` command "
+            "goes on with them"
+        )
 
 
 def root_files(folder: Path) -> list[Path]:

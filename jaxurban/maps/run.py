@@ -409,7 +409,7 @@ def make_zarr(
     if not work.is_done(ZARR):
         empty = empty_dataset(task, _no_values).assign_attrs(attrs)
         store.create_zarr(empty, work.zarr, shape)
-        work.mark_zarr()
+        work.mark_zarr(len(tiling.region_tiles))
 
     # The tiles.
     seconds: defaultdict[str, float] = defaultdict(float)
@@ -417,7 +417,7 @@ def make_zarr(
     stage = f"tiles of {stored.short_number(grid.resolution_m)} m"
     num_kept, num_tiles = work.num_tiles
     if num_kept:
-        LOG.info(f"resumed, {num_kept} of {num_tiles} {stage} were finished before")
+        LOG.info(f"resumed, {num_kept} of {num_tiles} {stage}")
     report(stage, num_done, len(tiling.region_tiles))
 
     def take(result: dict[str, Any]) -> None:

@@ -24,7 +24,7 @@ from jaxurban.maps.sources import CityLike, folder_of, scenario_of
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import DOPS, FIX, Gps, has_no_fix
 from jaxurban.metrics.population import Population
-from jaxurban.paths.places import XY, Point, cell_at, one_place
+from jaxurban.paths.places import XY, Point, one_place
 from jaxurban.public import listed
 from jaxurban.receivers.outlines import Hiding
 from jaxurban.receivers.rule import HIDDEN, SEEN, UNKNOWN
@@ -34,9 +34,6 @@ from jaxurban.world.grid import Grid
 from jaxurban.world.known import Rays
 from jaxurban.world.sky import Sky
 
-NEAR_M = (
-    10_000.0  # at 5 degrees, rays from farther away pass above the highest building of the world
-)
 RESOLUTION_M = 5.0  # of the grid of a City, as `build_maps` makes it
 
 
@@ -224,7 +221,7 @@ def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
       grid: in whose CRS the result is.
 
     Raises:
-      InputError: no place, one that is not two numbers, or none within 10 km of the grid.
+      InputError: no place, one that is not two numbers, or all with longitude and latitude swapped.
     """
     checked = [one_place(name, place) for place in places]
     coordinates = np.array([place[:2] for place in checked], float).reshape(-1, 2).T
@@ -235,9 +232,8 @@ def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
         raise InputError(
             f"{name} must be longitude, latitude in degrees in or near the city, got {listed([*map(str, places)])}"
         )
-    beside = math.ceil(NEAR_M / grid.resolution_m)
-    if not grid.padded(beside, beside, beside, beside).contains_xy(*xy_m).any():
-        cell_at(grid, name, checked[0])  # which refuses it
+    if grid.is_swapped(*lonlat):
+        raise InputError(f"{name}: {grid.outside_said(*lonlat[:, 0])}")
     return xy_m
 
 
