@@ -55,6 +55,7 @@ MADE_BY = {  # what no constructor is meant for
     "Demonstration": "demonstrations",
     "MetricMaps": "build_maps or open_maps",
     "PlannedPath": "plan or plan_many",
+    "ReturnAltitude": "return_altitude",
     "RouteQuery": "make_queries",
     "SkyAt": "sky, as in sky(maps, place, 60.0)",
     "SoftCity": "soft_city",

@@ -103,7 +103,7 @@ class MissionCheck(Result):
         """
         state = STATES[self.state].format(num=len(self.findings))
         legs = self.flight.mission.legs
-        if legs and not len(self.flight.lines_m):
+        if legs and self.state == "not-judged" and not len(self.flight.lines_m):
             place = legs[0].end
             where = self.maps.grid.outside_said(place.lon, place.lat)
             state = f"Nothing was judged, as the mission lies elsewhere: {where}."

@@ -200,7 +200,7 @@ class WorkFolder:
     @property
     def num_tiles(self) -> tuple[int, int]:
         """How many tiles are finished, and how many there are: none before the Zarr is there."""
-        with suppress(OSError, ValueError):
+        with suppress(OSError, ValueError, LookupError):  # made by another version, too
             return len(self._marks("tile_*")), read_json(self._mark(ZARR))["num_tiles"]
         return 0, 0
 

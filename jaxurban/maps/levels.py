@@ -120,9 +120,10 @@ def around(altitude_m: float, altitudes_m: Sequence[float]) -> list[float]:
     altitude_m = finite("altitude_m", altitude_m)
     low_m, high_m = min(altitudes_m), max(altitudes_m)
     if not low_m <= altitude_m <= high_m:
+        remedy = f"; to fly there, make maps with {altitude_m:g} in [region] altitudes_m too"
         raise InputError(
             f"there are no maps for altitude {altitude_m:g} m: these maps reach from {low_m:g} to {high_m:g} m "
-            f"({listed_m(altitudes_m)}); to fly there, make maps with {altitude_m:g} in [region] altitudes_m too"
+            f"({listed_m(altitudes_m)}){remedy if altitude_m > 0 else ''}"
         )
     below_m = max(z_m for z_m in altitudes_m if z_m <= altitude_m)
     above_m = min(z_m for z_m in altitudes_m if z_m >= altitude_m)
