@@ -182,7 +182,7 @@ class WorkFolder:
         """
         write_json(self._mark(name), {"checksums": checksums, **facts})
 
-    def mark_zarr(self, num_tiles: int) -> None:
+    def mark_zarr(self, num_tiles: int = 0) -> None:
         """Note that the Zarr is there, in a mark of all of its files: the chunks of maps come later, with tiles."""
         files = filter(Path.is_file, self.zarr.rglob("*"))
         names = {file.relative_to(self.path).as_posix() for file in files}
