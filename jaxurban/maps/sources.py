@@ -168,14 +168,15 @@ def folder_of(maps: MetricMaps | str | Path) -> Path:
     """Return the folder that maps were opened from, or a folder as it is.
 
     Raises:
-      InputError: maps that were made in memory.
+      InputError: maps that were made in memory, or a folder without maps and without the record of any.
     """
     if not isinstance(maps, MetricMaps):
-        stored_maps(Path(maps))  # which refuses one without maps
-        return Path(maps)
-    folder = maps.folder
-    if folder is None:
+        folder = Path(maps)
+        if not (folder / RUN_FILE).exists():
+            stored_maps(folder)  # which refuses a folder without maps
+        return folder
+    if maps.folder is None:
         raise InputError(
             "maps that were made in memory do not hold their city: give the City that they were made of"
         )
-    return folder
+    return maps.folder
