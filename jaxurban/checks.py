@@ -10,6 +10,7 @@ import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
+from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
 from typing import (
@@ -54,7 +55,9 @@ MADE_BY = {  # what no constructor is meant for
     "Demonstration": "demonstrations",
     "MetricMaps": "build_maps or open_maps",
     "PlannedPath": "plan or plan_many",
+    "ReturnAltitude": "return_altitude",
     "RouteQuery": "make_queries",
+    "SkyAt": "sky, as in sky(maps, place, 60.0)",
     "SoftCity": "soft_city",
 }
 
@@ -195,6 +198,15 @@ def check_size(name: str, value: Any) -> None:
             )
 
 
+def check_extra() -> None:
+    """Raise InputError unless what processes and clusters need is installed; nothing is imported."""
+    if not all(map(find_spec, ("distributed", "cryptography"))):
+        raise InputError(
+            "--cluster and --workers need Dask's distributed scheduler and cryptography, which are not installed: "
+            "pip install 'jaxurban[cluster]', or leave them out to work in threads"
+        )
+
+
 def typed(public: Public) -> Public:
     """Return a function or a class that raises InputError for an argument of another kind than its annotation names.
 
@@ -237,8 +249,12 @@ def typed(public: Public) -> Public:
             values = signature.bind(*args, **kwargs).arguments
         except TypeError as error:
             wrong = next((name for name in kwargs if name not in parameters), "")
-            hint = _home_of(wrong, checked)
-            fault = f"there is no argument {wrong!r}{hint}" if wrong else str(error)
+            by_name = [name for name in parameters if name not in in_order]
+            fault = str(error)
+            if wrong:
+                fault = f"there is no argument {wrong!r}{_home_of(wrong, checked)}"
+            elif by_name and len(args) > len(in_order):
+                fault += f": write {by_name[0]}={_shown(args[len(in_order)])}"
             raise InputError(f"{public.__name__}: {fault}") from error
 
         # Each value against the kinds of its argument; a keyword that ``**further`` takes has the kinds of that.
@@ -352,6 +368,9 @@ def _check_kind(name: str, value: Any, kinds: list[ArgumentKind], call: str) -> 
         remedy = call
     if _is_number(value) and "a sequence of numbers" in accepted:
         remedy = f": write [{float(value):g}]"
+    of_class = re.search(r"a dict of ([A-Z]\w+)(?! \(from)\b", accepted)
+    if of_class and isinstance(value, Mapping):
+        remedy = f": write {{{next(iter(value))!r}: {of_class[1]}(...)}}"
     raise InputError(f"{name} must be {accepted}, got {_shown(value)}{remedy}")
 
 

@@ -79,7 +79,7 @@ class JaxurbanError(Exception):
       ...     ju.plan(maps, start, goal, altitude_m=500)
       ... except ju.JaxurbanError as error:
       ...     print(error)
-      there are no maps for altitude 500 m: these maps reach from 20 to 60 m
+      there are no maps for altitude 500 m: these maps reach from 20 to 60 m (20, 60); to fly there, ...
     """
 
     def __init__(self, sentence: str = "") -> None:
@@ -196,6 +196,23 @@ def check_file(path: str | os.PathLike[str]) -> None:
         raise OSError("it is a pipe or a device, not a file")
 
 
+def not_there(path: str | Path, what: str = "") -> str:
+    """Return that a path does not exist, and which name beside it is nearest.
+
+    Args:
+      path: of a file or a folder.
+      what: its name in the message; left out, the path.
+    """
+    from jaxurban.public import near  # imported here: it imports this module
+
+    path = Path(path)
+    hint = ""
+    with suppress(OSError):  # a folder that is not there, or that this user may not list
+        for name in near(path.name, os.listdir(path.parent)):
+            hint = f" (did you mean {str(path.with_name(name))!r}?)"
+    return f"{what or repr(str(path))} does not exist{hint}: check the path"
+
+
 @contextmanager
 def readable(
     path: str | Path, kind: str, remedy: str, *errors: type[Exception], what: str = ""
@@ -220,7 +237,7 @@ def readable(
     except InputError:
         raise
     except FileNotFoundError as error:
-        raise InputError(f"{what} does not exist: check the path") from error
+        raise InputError(not_there(path, what)) from error
     except caught as error:
         raise InputError(
             f"{what} cannot be read as {kind} ({reason_of(error)}): {remedy}"

@@ -433,6 +433,11 @@ WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
             {"zones": 5},
             "zones must be a sequence of Zone (from Constraints.read), got 5",
         ),
+        (
+            "build_maps",
+            {"layers": {"noise": np.zeros((2, 2))}},
+            "got dict: write {'noise': Layer(...)}",
+        ),
         ("FitSettings", {"max_rounds": True}, "max_rounds must be a whole number, got True"),
         ("SensitivitySettings", {"seed": -1}, "seed must be a whole number from 0 up, got -1"),
         ("SensitivitySettings", {"vary": 5}, "vary must be a sequence of texts, got 5"),
@@ -455,6 +460,22 @@ def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy_
     with pytest.raises(ju.InputError) as raised:
         CALLS[name](*arguments, **given)
     assert sentence in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: ju.plan(MAPS, START, GOAL, 20.0), "plan: too many positional arguments: write altitude_m=20.0"),
+        (lambda: MAPS.m("gps", 61.0), "these maps hold 20.0, 60.0; name it in altitudes_m to make a map of it"),
+        (lambda: ju.plot.plot_sky("out/maps"), "of must be SkyAt (from sky, as in sky(maps, place, 60.0))"),
+        (lambda: ju.plot.plot_city(MAPS), "city must be City (from City.from_files, sample_city or demo_city), got M"),
+        (lambda: ju.sky("out/maps", START, 60.0), "'out/maps' does not exist"),
+        (lambda: ju.sky(ju.demo_city(400, 400), (40.779, -73.971), 60.0), "place: the point "),
+    ],
+)  # fmt: skip
+def test_a_likely_mistake_is_answered_with_its_remedy(call, sentence):
+    with pytest.raises(ju.InputError, match=re.escape(sentence)):
+        call()
 
 
 HOMES = {

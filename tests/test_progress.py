@@ -5,8 +5,10 @@ import logging
 import re
 import sys
 
+import jax
 import pytest
 
+import jaxurban as ju
 from jaxurban import progress
 from jaxurban.progress import Report, interrupted, reporting
 
@@ -27,6 +29,22 @@ def test_a_function_is_told_stage_done_and_total():
     calls = []
     work(lambda *told: calls.append(told))
     assert calls == [("read", 0, 0), *(("tiles", done, 3) for done in range(4))]
+
+
+def test_soft_layers_that_last_show_a_bar_and_short_ones_none(monkeypatch):
+    city = ju.demo_city(400, 400)
+    grid = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), progress=False).grid
+    soft = ju.grad.soft_city(city, grid, ju.grad.SoftParams(altitude_m=60.0))
+    shown = []
+    for brief_s in (0.0, 600.0):
+        monkeypatch.setattr(progress, "BRIEF_S", brief_s)
+        monkeypatch.setattr(sys, "stderr", Terminal())
+        jax.grad(lambda params: soft.layers(soft.height_m, params).sum())(
+            ju.grad.SoftParams(altitude_m=60.0)
+        )
+        shown.append(sys.stderr.getvalue())
+    assert f"{len(soft.names)}/{len(soft.names)}" in shown[0]
+    assert shown[1] == ""
 
 
 def test_over_items_as_many_are_done_as_were_used_and_no_items_are_no_stage():

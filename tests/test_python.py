@@ -148,7 +148,7 @@ def test_pictures_take_one_path_several_or_a_batch(paths):
     for given in (paths[0], [paths[0], paths[1]], paths):
         assert "20 m" in plot_paths(MAPS, given).axes[0].get_title("left")
     assert plot_overview(MAPS, paths).axes
-    with pytest.raises(ju.InputError, match="paths must be paths from plan"):
+    with pytest.raises(ju.InputError, match="paths must be PlannedPath"):
         plot_paths(MAPS, [5])
 
 
@@ -219,6 +219,16 @@ def test_no_public_name_is_one_for_annotations_too():
 def test_functions_come_before_classes_in_what_is_public():
     is_class = [inspect.isclass(getattr(ju, name)) for name in ju.__all__]
     assert is_class == sorted(is_class)
+
+
+def test_a_path_is_explained_over_its_own_maps_and_says_where_it_names_none():
+    path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
+    own, given = path.explain(speed_m_s=10.0), ju.explain(path, MAPS, speed_m_s=10.0)
+    assert own.totals == given.totals
+    bare = replace(path, maps=None)
+    assert bare.explain(MAPS).totals == path.explain().totals
+    with pytest.raises(ju.InputError, match="path names no maps: give them"):
+        bare.explain()
 
 
 @pytest.mark.slow

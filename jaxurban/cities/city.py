@@ -46,7 +46,7 @@ from jaxurban.cities.raster import (
 from jaxurban.cities.stands import is_water
 from jaxurban.cities.tiles import ARCHIVE, READERS, read_tiles
 from jaxurban.cities.vector import OTHER_SUFFIXES, VECTOR_SUFFIXES, read_vector
-from jaxurban.errors import GuessWarning, InputError, warn
+from jaxurban.errors import GuessWarning, InputError, not_there, warn
 from jaxurban.io.city import City, joined_credits
 from jaxurban.io.issues import ReadIssue, ReadIssues, num_of
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
@@ -463,7 +463,7 @@ def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
       InputError: no such file, or a format that is not read.
     """
     if not path.exists():
-        raise InputError(f"{str(path)!r} does not exist: check the path")
+        raise InputError(not_there(path))
     suffix = path.suffix.lower()
     if suffix in RASTER_SUFFIXES or sniff(path) == LIDAR:
         return None

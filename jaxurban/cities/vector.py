@@ -28,7 +28,15 @@ from jaxurban.cities.stands import is_water
 from jaxurban.errors import GuessWarning, InputError, readable, warn
 from jaxurban.io.geoparquet import read_geoparquet
 from jaxurban.io.issues import ReadIssue
-from jaxurban.io.sniff import DATABASE, HEAD_BYTES, WKT_COLUMNS, in_own_words, sniff, unpacked
+from jaxurban.io.sniff import (
+    DATABASE,
+    FLOWN,
+    HEAD_BYTES,
+    WKT_COLUMNS,
+    in_own_words,
+    sniff,
+    unpacked,
+)
 from jaxurban.io.tables import check_rows
 from jaxurban.world.extent import extent_of, meets
 from jaxurban.world.grid import MOST_OF_CRS, OPENS_FILE, WGS84, Bounds, check_on_earth, known_crs
@@ -287,6 +295,11 @@ def _checked_format(path: Path, plain: Path) -> str:
             )
         if not kind and suffix in (*FORMATS, *OTHER_SUFFIXES):
             raise ValueError(f"it does not begin as a {suffix} file does")
+        if kind in FLOWN:
+            raise InputError(
+                f"{str(path)!r} is a mission, and no lines or outlines: `jaxurban check` reads it; save routes as "
+                ".geojson, .kml or .gpx"
+            )
         raise InputError(
             f"{str(path)!r} is of a format that is not read: unpack it, or make a GeoPackage of it with `ogr2ogr`"
         )

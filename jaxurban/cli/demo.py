@@ -1,5 +1,6 @@
 """jaxurban demo: maps of Lower Manhattan, paths over them and pictures, for a reader new to them."""
 
+import warnings
 from pathlib import Path
 
 from jaxurban.progress import LOG, reporting
@@ -68,7 +69,8 @@ def demo_command(folder: Path, overwrite: bool, as_json: bool) -> None:
         facts = [path.to_dict() for path in paths]
         table = pd.json_normalize(facts)
         table = table[[*COLUMNS, *table.filter(like="metrics.")]]
-        with Workspace.open(folder, "demo", is_shared=True):
+        with Workspace.open(folder, "demo", is_shared=True), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Unknown heights")  # they are counted below
             save(folder, {SCENARIO_FILE: scenario.to_toml(), TABLE_FILE: table})
             for path in paths:
                 if path.status.has_path:
@@ -78,6 +80,12 @@ def demo_command(folder: Path, overwrite: bool, as_json: bool) -> None:
             figures = save_figures(maps, paths, folder / "figures")
     num_found = sum(path.status.has_path for path in paths)
     overview, table_file = folder / "figures" / "overview.png", folder / TABLE_FILE
+    kinds = [{caution.kind for caution in path.cautions} for path in paths]
+    num_reached = sum("unknown heights" in each for each in kinds)
+    LOG.info(
+        f"What has no known height may reach {num_reached} of the paths: `jaxurban plan {folder} ... --rules "
+        f"unknown_heights=highest` stays above it. {folder / RUN_FILE} holds all warnings of the maps."
+    )
     LOG.info(f"Look at {overview}: it shows the maps and the paths over them.")
     LOG.info(f"{num_found} of {len(paths)} searches found a path; {table_file} compares them.")
     LOG.info(f"To plan by hand in a browser, run: jaxurban view {folder}")

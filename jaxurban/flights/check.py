@@ -234,6 +234,8 @@ def _not_judged(
     for guess in maps.guesses:
         if guess.kind is GuessKind.WITHOUT_SHAPE:
             sentences.append(f"{guess.name}.")
+    if mission.home is not None and maps.grid.is_swapped(*mission.home):
+        sentences.append(f"Home lies elsewhere: {maps.grid.outside_said(*mission.home)}.")
     sentences += _above_roof(flight, buildings)
     sentences += [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
     if not mission.legs:

@@ -97,8 +97,16 @@ class MissionCheck(Result):
 
     @property
     def sentence(self) -> str:
-        """The state, as one sentence; another one follows if kinds of obstacles were left out."""
+        """The state, as one sentence; another one follows if kinds of obstacles were left out.
+
+        Of a mission that lies nowhere over the maps it says where it lies, and where the maps do.
+        """
         state = STATES[self.state].format(num=len(self.findings))
+        legs = self.flight.mission.legs
+        if legs and self.state == "not-judged" and not len(self.flight.lines_m):
+            place = legs[0].end
+            where = self.maps.grid.outside_said(place.lon, place.lat)
+            state = f"Nothing was judged, as the mission lies elsewhere: {where}."
         return f"{state} {self.left_out}".rstrip()
 
     @property

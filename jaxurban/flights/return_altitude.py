@@ -18,7 +18,7 @@ from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.clearance import highest_within, reaches_m
 from jaxurban.paths.constraints import Constraints, describe_constraints
 from jaxurban.paths.elevation import Elevation
-from jaxurban.paths.places import XY, Point, one_place
+from jaxurban.paths.places import XY, Point, cell_at, one_place
 from jaxurban.paths.plan import rules_on
 from jaxurban.public import FactsRepr
 
@@ -187,9 +187,8 @@ def return_altitude(
     kept = Constraints(clearance_m=clearance_m, vertical_clearance_m=vertical_clearance_m)
     maps, _, limits = rules_on(as_maps(maps), None, kept, "")
     grid = maps.grid
-    place: Any = one_place("home", home)[:2]
-    home_m = np.array(place if isinstance(home, XY) else grid.xy_of_lonlat(*place))
-    home_cell = grid.cell_of_xy(*home_m)  # refuses a home outside
+    home_xy_m, home_cell = cell_at(grid, "home", one_place("home", home))
+    home_m = np.array(home_xy_m)
 
     # The highest that must be cleared in each cell, above home's ground.
     ground = Elevation(maps, None)

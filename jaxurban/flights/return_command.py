@@ -4,15 +4,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import click
-
 from jaxurban.terminal.common import (
     CEILING,
     FILES,
     FOLDER,
     JSON_FLAG,
     KEPT_CLEAR,
-    LONLAT,
+    PLACE,
     RESOLUTION,
     Settings,
     print_json,
@@ -23,7 +21,7 @@ from jaxurban.terminal.options import command
 
 @command()
 @FOLDER
-@click.option("--home", type=LONLAT, required=True, help="Home: longitude,latitude in degrees.")
+@PLACE("--home", help="Home: longitude,latitude in degrees.")
 @KEPT_CLEAR
 @CEILING
 @RESOLUTION

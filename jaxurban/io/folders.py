@@ -172,21 +172,23 @@ class WorkFolder:
         """Return the path of the mark of a step."""
         return self.path / DONE_FOLDER / f"{name}.json"
 
-    def mark_done(self, name: str, checksums: dict[str, str]) -> None:
+    def mark_done(self, name: str, checksums: dict[str, str], **facts: int) -> None:
         """Note that a step is finished and all of it is written.
 
         Args:
           name: of the step.
           checksums: of the files that it wrote, by their names in the folder.
+          facts: numbers to keep too, by name.
         """
-        write_json(self._mark(name), {"checksums": checksums})
+        write_json(self._mark(name), {"checksums": checksums, **facts})
 
-    def mark_zarr(self) -> None:
+    def mark_zarr(self, num_tiles: int = 0) -> None:
         """Note that the Zarr is there, in a mark of all of its files: the chunks of maps come later, with tiles."""
         files = filter(Path.is_file, self.zarr.rglob("*"))
         names = {file.relative_to(self.path).as_posix() for file in files}
         own = sorted(filter(_is_of_steps, names))
-        self.mark_done(ZARR, {name: checksum_of(self.path / name) for name in own})
+        checksums = {name: checksum_of(self.path / name) for name in own}
+        self.mark_done(ZARR, checksums, num_tiles=num_tiles)
 
     def is_done(self, name: str) -> bool:
         """Return whether a step is finished, and its mark is whole."""
@@ -194,6 +196,13 @@ class WorkFolder:
             read_json(self._mark(name))
             return True
         return False
+
+    @property
+    def num_tiles(self) -> tuple[int, int]:
+        """How many tiles are finished, and how many there are: none before the Zarr is there."""
+        with suppress(OSError, ValueError, LookupError):  # made by another version, too
+            return len(self._marks("tile_*")), read_json(self._mark(ZARR))["num_tiles"]
+        return 0, 0
 
     def finish(self, target: Path) -> None:
         """Put the assembled maps in their place, and remove the folder.

@@ -18,6 +18,7 @@ from jaxurban.io.files import UNPACKING, remove
 DATABASE = ".gdb"  # of Esri: a folder, or packed as .gdb.zip
 PANIC = "PanicException"  # of libraries in Rust, under a module of its own each
 LIDAR = ".laz"  # of LAS and COPC too
+FLOWN = (".plan", ".waypoints", ".wpml", ".ulg")  # missions and logs of flights
 HEAD_BYTES = 1 << 16  # that are looked at; GDAL looks at fewer
 MOST_UNPACKED = 20 * 2**30  # bytes in a packed file
 MOST_TIMES = 100  # its size; text of cities takes up to some 40

@@ -1,10 +1,11 @@
 """What a folder of maps holds, by its record of files: looked at without xarray, in a moment."""
 
+import os
 import re
 from pathlib import Path
 from typing import Any
 
-from jaxurban.errors import InputError, reason_of
+from jaxurban.errors import InputError, not_there, reason_of
 from jaxurban.io.files import SCRATCH_SUFFIX, read_json
 from jaxurban.io.workspace import recorded
 
@@ -44,6 +45,11 @@ def stored_resolutions(folder: Path) -> dict[float, Path]:
     return {resolution_m: path for resolution_m, path in sorted(paths.items()) if path.is_dir()}
 
 
+def work_paths(folder: Path) -> list[Path]:
+    """Return where unfinished maps lie under an output folder, those of each resolution (`work_path`)."""
+    return sorted((folder / ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}"))
+
+
 def stored_maps(folder: Path) -> dict[float, Path]:
     """Return the folders of the Zarrs under ``folder``, as of `stored_resolutions`, of which there is one at least.
 
@@ -52,13 +58,30 @@ def stored_maps(folder: Path) -> dict[float, Path]:
     """
     if folder.is_file():
         raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
+    if not os.path.exists(folder):  # which raises nothing, whatever the name
+        raise InputError(
+            f"{not_there(folder)}, or make maps there with `jaxurban maps SCENARIO -o {folder}`"
+        )
     paths = stored_resolutions(folder)
     if not paths:
+        _check_unfinished(folder)
         raise InputError(
             f"{str(folder)!r} holds no metric maps, or not their checksums.json: make them with `jaxurban maps "
             f"SCENARIO -o {folder}`"
         )
     return paths
+
+
+def _check_unfinished(folder: Path) -> None:
+    """Raise InputError where unfinished maps lie under a folder, with how many of their tiles there are."""
+    from jaxurban.io.folders import WorkFolder  # imported here: it brings xarray
+
+    for path in work_paths(folder):
+        num_done, num_tiles = WorkFolder(path).num_tiles
+        raise InputError(
+            f"{str(folder)!r} holds unfinished maps, {num_done} of {num_tiles} tiles: the same `jaxurban maps` command "
+            "goes on with them"
+        )
 
 
 def root_files(folder: Path) -> list[Path]:

@@ -26,6 +26,7 @@ from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem
 from jaxurban.planners.cost import CostModel
+from jaxurban.progress import reporting
 from jaxurban.public import FactsRepr
 from jaxurban.settings import SLABS, TO_GROUND, Heights
 from jaxurban.world.grid import Grid
@@ -226,7 +227,10 @@ class SoftCity(FactsRepr):
           >>> soft.layers(soft.height_m, params, cells).shape
           (4, 2)
         """
-        return jnp.stack([self.layer(name, height_m, params, cells) for name in self.names])
+        with reporting("soft") as report:
+            names = report.over("layers", self.names)
+            layers = [self.layer(name, height_m, params, cells) for name in names]
+        return jnp.stack(layers)
 
     def layer_weights(self, weights: Weights) -> Float[Array, " L"]:
         """Return the weight of each layer.

@@ -13,6 +13,7 @@ import numpy as np
 from dask.callbacks import Callback
 from dask.delayed import Delayed, delayed
 
+from jaxurban.checks import check_extra
 from jaxurban.errors import InputError, reason_of
 from jaxurban.maps.tiled import (
     QUADRANTS,
@@ -211,17 +212,12 @@ def cluster_client(workers: int | str) -> Iterator[Any]:
       InputError: ``distributed`` is not installed, no scheduler responds, the scheduler is lost within the block, or a
         process ends while it starts.
     """
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-        from distributed.security import Security
+    check_extra()
+    import dask
+    from distributed import Client, LocalCluster
+    from distributed.security import Security
 
-        security = Security.temporary()  # needs cryptography
-    except ImportError as error:
-        raise InputError(
-            "--cluster and --workers need Dask's distributed scheduler and cryptography, which are not installed: "
-            "pip install 'jaxurban[cluster]', or leave them out to work in threads"
-        ) from error
+    security = Security.temporary()
 
     if isinstance(workers, str):
         with _running_client(workers) as client:

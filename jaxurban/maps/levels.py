@@ -11,6 +11,10 @@ from jaxurban.errors import InputError
 
 SAME_M = 1e-6  # altitudes this close are one
 MOST_LEVELS = 10_000
+MORE_BY = {  # what makes maps hold further values
+    "altitude": "name it in [region] altitudes_m to make a map of it",
+    "time": "name it in [gps] times to make a map of it",
+}
 
 
 @typed
@@ -116,8 +120,10 @@ def around(altitude_m: float, altitudes_m: Sequence[float]) -> list[float]:
     altitude_m = finite("altitude_m", altitude_m)
     low_m, high_m = min(altitudes_m), max(altitudes_m)
     if not low_m <= altitude_m <= high_m:
+        remedy = f"; to fly there, make maps with {altitude_m:g} in [region] altitudes_m too"
         raise InputError(
-            f"there are no maps for altitude {altitude_m:g} m: these maps reach from {low_m:g} to {high_m:g} m"
+            f"there are no maps for altitude {altitude_m:g} m: these maps reach from {low_m:g} to {high_m:g} m "
+            f"({listed_m(altitudes_m)}){remedy if altitude_m > 0 else ''}"
         )
     below_m = max(z_m for z_m in altitudes_m if z_m <= altitude_m)
     above_m = min(z_m for z_m in altitudes_m if z_m >= altitude_m)
@@ -139,7 +145,10 @@ def index_of(name: str, value: Any, values: Sequence) -> int:
         return 0
     if value not in values:
         listed_values = ", ".join(map(str, values)) or "none, so leave it out"
-        raise InputError(f"there are no maps for {name} {value}: these maps hold {listed_values}")
+        remedy = f"; {MORE_BY[name]}" if name in MORE_BY and values else ""
+        raise InputError(
+            f"there are no maps for {name} {value}: these maps hold {listed_values}{remedy}"
+        )
     return values.index(value)
 
 

@@ -16,7 +16,7 @@ from jaxurban.checks import values_given
 from jaxurban.errors import InputError, speaking
 from jaxurban.io import store, stored
 from jaxurban.io.city import City
-from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, sweep_scraps
+from jaxurban.io.files import RECORDER, check_writable, sweep_scraps
 from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
 from jaxurban.io.rasterise import bands_of, check_has_data, rasterise
@@ -304,7 +304,7 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
       key: identifies this run (`run_key`).
       resolutions_m: the resolutions that this run makes. The tiles of a resolution that is finished are removed too.
     """
-    left_over = {*(folder / stored.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}")}
+    left_over = {*stored.work_paths(folder)}
     for resolution_m in resolutions_m:
         if stored_key(folder, resolution_m) != key:
             left_over.discard(stored.work_path(folder, resolution_m))
@@ -409,12 +409,15 @@ def make_zarr(
     if not work.is_done(ZARR):
         empty = empty_dataset(task, _no_values).assign_attrs(attrs)
         store.create_zarr(empty, work.zarr, shape)
-        work.mark_zarr()
+        work.mark_zarr(len(tiling.region_tiles))
 
     # The tiles.
     seconds: defaultdict[str, float] = defaultdict(float)
     num_done = 0
     stage = f"tiles of {stored.short_number(grid.resolution_m)} m"
+    num_kept, num_tiles = work.num_tiles
+    if num_kept:
+        LOG.info(f"resumed, {num_kept} of {num_tiles} {stage}")
     report(stage, num_done, len(tiling.region_tiles))
 
     def take(result: dict[str, Any]) -> None:

@@ -502,14 +502,16 @@ def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _sentence_of(error: ValidationError, settings: Any, model: type) -> str:
-    """Return the first error that pydantic has of settings as one sentence that names the setting.
+    """Return one error that pydantic has of settings as a sentence that names the setting: first what is unknown.
+
+    A section or a key that is mistyped is missing under its right name too.
 
     Args:
       error: from the validation.
       settings: that were validated, nested.
       model: of the settings.
     """
-    first = error.errors()[0]
+    first = min(error.errors(), key=lambda fault: fault["type"] not in UNKNOWN)
     *parents, last = first["loc"] or ("",)
 
     # The dotted key of the setting. Parts that the settings do not hold are pydantic's names for types of a union.

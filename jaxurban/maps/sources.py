@@ -9,7 +9,7 @@ from typing import NamedTuple
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io.city import City
 from jaxurban.io.files import read_json
-from jaxurban.io.stored import RUN_FILE, stored_settings
+from jaxurban.io.stored import RUN_FILE, stored_maps, stored_settings
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.provenance import hash_inputs, unsized
 from jaxurban.maps.scenario import Scenario
@@ -168,11 +168,15 @@ def folder_of(maps: MetricMaps | str | Path) -> Path:
     """Return the folder that maps were opened from, or a folder as it is.
 
     Raises:
-      InputError: maps that were made in memory.
+      InputError: maps that were made in memory, or a folder without maps and without the record of any.
     """
-    folder = maps.folder if isinstance(maps, MetricMaps) else Path(maps)
-    if folder is None:
+    if not isinstance(maps, MetricMaps):
+        folder = Path(maps)
+        if not (folder / RUN_FILE).exists():
+            stored_maps(folder)  # which refuses a folder without maps
+        return folder
+    if maps.folder is None:
         raise InputError(
             "maps that were made in memory do not hold their city: give the City that they were made of"
         )
-    return folder
+    return maps.folder

@@ -29,6 +29,7 @@ from jaxurban.public import FactsRepr
 from jaxurban.settings import Objective, as_tuple
 from jaxurban.world.grid import Grid
 
+NO_WEIGHT = "All weights are zero, so every path is as cheap: the distance was minimised instead."
 NOT_THE_PAPER = (
     "The paper's preset knows buildings alone, and these maps hold other kinds of obstacles too: to compare, make them "
     'with [obstacles] kinds = ["building"].'
@@ -197,7 +198,7 @@ class CostMap(FactsRepr):
     def _notes(self) -> Iterator[str]:
         """Yield the sentences of `note`, some of which may be empty."""
         if not self.is_weighed and self.objective == "weighted":
-            yield "All weights are zero, so every path is as cheap: the distance was minimised instead."
+            yield NO_WEIGHT
         constraints = self.constraints
         kept = describe_kept(constraints.to_dict(), self.grid.resolution_m)
         if kept:

@@ -49,7 +49,7 @@ EXTRA_MAPS = {VISIBLE: VISIBLE, FIX: FIX, "density": DENSITY, "terrain": "terrai
 @typed
 def explain(
     planned: PlannedPath,
-    maps: MapsLike,
+    maps: MapsLike | None = None,
     *,
     speed_m_s: float | None = None,
     power_w: float | None = None,
@@ -70,7 +70,7 @@ def explain(
 
     Args:
       planned: from `plan`; its settings say which weights, cost model, time and time of day.
-      maps: the maps it was planned on, or their folder.
+      maps: the maps it was planned on, or their folder; left out, those that the path names.
       speed_m_s: through the air; left out, that of the vehicle that it was planned for, or else no time. The vehicle's
         limits of climb and descent make it slower where the route is steep.
       power_w: mean electrical power in flight; left out, that of the vehicle, or else no energy.
@@ -81,7 +81,8 @@ def explain(
       `RouteReport`: totals of the route, a table of its segments and one of its cells, and cautions.
 
     Raises:
-      InputError: there is no path, the maps are others, or a speed, power, width or number that cannot be.
+      InputError: there is no path, no maps are given and it names none, the maps are others, or a speed, power, width
+        or number that cannot be.
 
     Examples:
       >>> report = ju.explain(path, maps, speed_m_s=10.0)
@@ -90,6 +91,9 @@ def explain(
       >>> report.segments[["from_m", "to_m"]].round().to_numpy().tolist()[:2]
       [[0.0, 80.0], [80.0, 160.0]]
     """
+    maps = planned.maps if maps is None else maps
+    if maps is None:
+        raise InputError("the path names no maps: give them, as in ju.explain(path, maps)")
     maps = as_maps(maps)
     if num_segments < 1:
         raise InputError(f"num_segments must be at least 1, got {num_segments}")

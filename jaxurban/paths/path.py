@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.tables import number_or_none, numbers_or_none
 from jaxurban.io.zone import Zone
 from jaxurban.knowledge import Caution, sentences_of
-from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps
 from jaxurban.paths.ground import Ground
 from jaxurban.paths.route_report import RouteReport
 from jaxurban.planners.base import Path, Status
@@ -151,6 +151,26 @@ class PlannedPath(FactsRepr):
         write = resolve_name("jaxurban.flights.export.write:write_files")
         write(self, files, report, end=end)
         return files[0]
+
+    def explain(self, maps: MapsLike | None = None, **options: Any) -> RouteReport:
+        """Return what the path costs and meets, in whole and by segment.
+
+        Args:
+          maps: that it was planned on, or their folder; left out, those that it names.
+          options: further arguments of `jaxurban.explain`, such as ``speed_m_s``.
+
+        Returns:
+          `RouteReport`, as from `jaxurban.explain`.
+
+        Raises:
+          InputError: as of `jaxurban.explain`.
+
+        Examples:
+          >>> round(path.explain().totals["people_overflown"])
+          69
+        """
+        explain = resolve_name("jaxurban.paths.explain:explain")
+        return explain(self, maps, **options)
 
     def plot(self) -> "Figure":
         """Return a picture of the path over the cost of the maps that it was planned on; `jaxurban.plot` draws several.

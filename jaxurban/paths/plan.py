@@ -8,7 +8,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from jaxurban.checks import finite, typed
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, warn
 from jaxurban.maps.free_memory import free_bytes
 from jaxurban.maps.levels import Levels, around, values_at
 from jaxurban.maps.memory import format_bytes
@@ -16,7 +16,7 @@ from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.weights import WeightsLike, weights_on
 from jaxurban.paths.choices import PathChoice, parted
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.cost_map import NO_WEIGHT, CostMap
 from jaxurban.paths.finish import plan_on
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, Point, one_place
@@ -117,8 +117,11 @@ def cost_map(
       'optimal'
     """
     maps, model, limits = rules_on(as_maps(maps), cost_model, constraints, preset)
+    of_layers = weights_on(maps, weights)
+    if objective == "weighted" and not any(of_layers.to_dict().values()):
+        warn(f"{NO_WEIGHT} Give one a weight above 0.")
     rules: dict[str, Any] = {
-        "weights": weights_on(maps, weights),
+        "weights": of_layers,
         "objective": objective,
         "cost_model": model,
         "constraints": limits.at(time),

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import pandas as pd
 
-from jaxurban.checks import typed
+from jaxurban.checks import check_extra, typed
 from jaxurban.errors import InputError
 from jaxurban.io.tables import Row, RowStore, read_table, records_of
 from jaxurban.maps.metric_maps import MetricMaps
@@ -214,6 +214,8 @@ def check_workers(workers: int | str, sources: Iterable[Source]) -> None:
     """Raise InputError unless so many workers can read these maps."""
     if isinstance(workers, int) and workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
+    if workers != 1:
+        check_extra()
     if workers != 1 and any(isinstance(source, MetricMaps) for source in sources):
         raise InputError(
             "several workers need the maps in a folder: save them, and give the folder instead"

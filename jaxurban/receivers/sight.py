@@ -221,7 +221,7 @@ def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
       grid: in whose CRS the result is.
 
     Raises:
-      InputError: no place, one that is not two numbers, or one that the CRS has no coordinates for.
+      InputError: no place, one that is not two numbers, or all with longitude and latitude swapped.
     """
     checked = [one_place(name, place) for place in places]
     coordinates = np.array([place[:2] for place in checked], float).reshape(-1, 2).T
@@ -232,6 +232,8 @@ def xy_of(name: str, places: Sequence[Point], grid: Grid) -> np.ndarray:
         raise InputError(
             f"{name} must be longitude, latitude in degrees in or near the city, got {listed([*map(str, places)])}"
         )
+    if grid.is_swapped(*lonlat):
+        raise InputError(f"{name}: {grid.outside_said(*lonlat[:, 0])}")
     return xy_m
 
 

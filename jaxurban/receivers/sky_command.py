@@ -19,6 +19,7 @@ from jaxurban.terminal.common import (
     SOURCES,
     Point,
     Settings,
+    check_over_maps,
     finite_records,
     print_json,
     write_outputs,
@@ -34,7 +35,13 @@ NOT_PRINTED = ["grid_azimuth_deg", "roof_is_guessed"]  # columns
 
 @command()
 @FOLDER
-@click.option("--at", "place", type=LONLAT, help="Place: longitude,latitude in degrees.")
+@click.option(
+    "--at",
+    "place",
+    type=LONLAT,
+    callback=check_over_maps,
+    help="Place: longitude,latitude in degrees.",
+)
 @click.option(
     "--track",
     type=GIVEN,

@@ -250,11 +250,12 @@ def outcome_names(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def outcome_label(outcome: str) -> str:
-    """Return what tables and figures call an outcome."""
+    """Return what sentences call an outcome: without a capital, but for abbreviations such as GPS."""
     if outcome in PLAIN:
         return PLAIN[outcome]
     metric = outcome.removeprefix("mean_")
-    return METRICS[metric].label if metric in METRICS else metric
+    label = METRICS[metric].label if metric in METRICS else metric
+    return label if label[:2].isupper() else f"{label[:1].lower()}{label[1:]}"
 
 
 def outcomes_of(integrals: Float[AnyArray, "*N K"], names: Sequence[str]) -> dict[str, Any]:

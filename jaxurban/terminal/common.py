@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from jaxurban.checks import check_extra
 from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
@@ -226,12 +227,14 @@ def workers_of(workers: int | None, cluster: str | None) -> int | str | None:
     """Return the number of processes or the address of a scheduler, whichever is given; None without either.
 
     Raises:
-      InputError: both are given.
+      InputError: both are given, or what several processes need is not installed.
     """
     if workers is not None and cluster is not None:
         raise InputError(
             "give either --workers, for processes of this machine, or --cluster, not both"
         )
+    if cluster or (workers or 1) > 1:
+        check_extra()
     return workers or cluster
 
 

@@ -560,14 +560,39 @@ class Grid:
         """
         x_m, y_m = self.xy_of_lonlat(lon_deg, lat_deg)
         if not np.all(self.contains_xy(x_m, y_m)):
-            west, south, east, north = transformer(self.crs, WGS84).transform_bounds(*self.bounds_m)
-            lon_deg = np.asarray(lon_deg)
-            lat_deg = np.asarray(lat_deg)
-            raise InputError(
-                f"the point {lon_deg}, {lat_deg} (longitude comes first) is outside the region, "
-                f"which spans about {west:.4f} to {east:.4f} and {south:.4f} to {north:.4f}"
-            )
+            raise InputError(self.outside_said(lon_deg, lat_deg))
         return self.cell_of_xy(x_m, y_m)
+
+    def is_swapped(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> bool:
+        """Return whether points (WGS 84, degrees) all lie on the grid once longitude and latitude change places.
+
+        Returns:
+          True where they look swapped.
+
+        Examples:
+          >>> maps.grid.is_swapped(40.78, -73.97)
+          True
+        """
+        return bool(np.all(self.contains_xy(*self.xy_of_lonlat(lat_deg, lon_deg))))
+
+    def outside_said(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> str:
+        """Return in words that points (WGS 84, degrees) lie outside the grid, and how if they look swapped.
+
+        Returns:
+          The words, without a full stop.
+
+        Examples:
+          >>> maps.grid.outside_said(40.78, -73.97)
+          'the point 40.78, -73.97 (longitude comes first) is outside ...: longitude and latitude look swapped'
+        """
+        west, south, east, north = transformer(self.crs, WGS84).transform_bounds(*self.bounds_m)
+        hint = ""
+        if self.is_swapped(lon_deg, lat_deg):
+            hint = ": longitude and latitude look swapped"
+        return (
+            f"the point {np.asarray(lon_deg)}, {np.asarray(lat_deg)} (longitude comes first) is outside the region, "
+            f"which spans about {west:.4f} to {east:.4f} and {south:.4f} to {north:.4f}{hint}"
+        )
 
     def lonlat_of_cell(self, row: ArrayLike, col: ArrayLike) -> tuple[Any, Any]:
         """Return longitudes and latitudes (WGS 84, degrees) of cell centres; cells may lie outside the grid.

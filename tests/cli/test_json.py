@@ -265,5 +265,6 @@ def test_the_demo_is_an_object_and_ends_with_a_picture_and_three_sentences(
     assert len(paths) > 1
     picture, counts, view = err.splitlines()[-3:]
     assert Path(re.search(r"Look at (\S+):", picture)[1]).is_file()
+    assert len(re.findall("no known height|Unknown heights", err)) == 1
     assert f" of {len(paths)} searches" in counts
     assert view.endswith(f"jaxurban view {tmp_path / 'out'}")

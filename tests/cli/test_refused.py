@@ -6,12 +6,14 @@ import shutil
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import osmium
 import pytest
 from shapely import box
 
+from jaxurban import checks
 from tests.cli_runs import ENDS, assert_one_sentence, outlines, run
 
 NEAR = (-74.0, 40.755, -73.999, 40.756)  # a part of the town
@@ -35,7 +37,19 @@ REFUSED = [
     ),
     ("plan maps --start=here --goal=-73.994,40.76 --altitude 60", "longitude,latitude"),
     ("plan maps --start=-73.999,40.756 --altitude 60", "--goal"),
-    (f"{PLAN} 61", "altitude", "from 20 to 60 m"),
+    (f"{PLAN} 61", "altitude", "from 20 to 60 m (20, 60)", "with 61 in [region] altitudes_m too"),
+    ("sky maps --at=40.756,-73.999 --altitude 60", "place", "longitude and latitude look swapped"),
+    ("return maps --home=40.756,-73.999", "home", "longitude and latitude look swapped"),
+    ("info map", "'map' does not exist (did you mean 'maps'?): check the path"),
+    ("check maps tonw.toml", "did you mean 'town.toml'?"),
+    ("tune maps flown.plan -o {out}", "'flown.plan' is a mission", "as .geojson, .kml or .gpx"),
+    (
+        "plan map --start=-73.999,40.756 --goal=-73.994,40.76 --altitude 60",
+        "did you mean 'maps'?",
+        "jaxurban maps SCENARIO -o map",
+    ),
+    ("maps section.toml -o {out}", "unknown section 'building' (did you mean 'buildings'?)"),
+    ("maps key.toml -o {out}", "unknown key 'buildings.sorce' (did you mean 'source'?)"),
     (f"{PLAN} high", "--altitude"),
     (f"{PLAN} 60 --planner astr", "astar"),
     (f"{PLAN} 60 --weights gsp=1", "did you mean 'gps'"),
@@ -131,6 +145,9 @@ def desk(made, tmp_path_factory):
     for name, text in {
         "file": "a file",
         "taken/notes.txt": "mine",
+        "flown.plan": '{"fileType": "Plan", "mission": {"items": []}}',
+        "section.toml": '[region]\nresolution_m = 20\n[building]\nsource = "synthetic"\n',
+        "key.toml": '[region]\nresolution_m = 20\n[buildings]\nsorce = "synthetic"\n',
         "deep.toml": "a = " + "{a = " * 3000 + "1" + "}" * 3000,
         "dotted.toml": ".".join("a" * 5000) + " = 1",
         "far.geojson": outlines(box(-73.95, 40.75, -73.949, 40.751)),
@@ -177,6 +194,23 @@ def test_a_variable_of_the_environment_that_libraries_refuse_is_one_sentence(
     assert (done.returncode, done.stdout) == (2, ""), done.stderr
     assert_one_sentence(done.stderr.splitlines()[-1], name)
     assert "Traceback" not in done.stderr
+
+
+def test_what_several_workers_need_is_asked_for_before_anything_is_read(
+    desk, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(desk)
+    monkeypatch.setattr(checks, "find_spec", {"cryptography": ""}.get)
+    monkeypatch.setattr(Path, "read_text", None)  # a scenario cannot be read
+    for words in (
+        "maps town.toml --workers 2",
+        "study town.toml --workers 2",
+        f"{ROUTES} --workers 2",
+    ):
+        line = words if "-o" in words else f"{words} -o {{out}}"
+        code, _, err = run(capsys, *shlex.split(line.format(out=tmp_path / "out")))
+        assert code == 2
+        assert_one_sentence(err, "--workers", "not installed", "pip install 'jaxurban[cluster]'")
 
 
 def test_a_damaged_extract_without_bounds_is_refused_in_a_sentence(capsys, tmp_path):

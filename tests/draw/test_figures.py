@@ -518,7 +518,8 @@ def test_a_file_is_as_wide_as_asked_and_its_text_stays_text(maps, tmp_path, widt
 @pytest.mark.parametrize("width", ["poster", 20.0, 5000.0, float("nan")])
 def test_a_width_that_is_none_is_refused(maps, width):
     with pytest.raises(
-        InputError, match=r"'column' \(88.9 mm\) or 'page' \(182 mm\), or from 60 to 1000"
+        InputError,
+        match=r"'column'(, 'page' or a number| \(88.9 mm\) or 'page' \(182 mm\), or from 60 to 1000)",
     ):
         plotting.plot_obstacles(maps, width=width)
 

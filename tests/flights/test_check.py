@@ -372,6 +372,23 @@ def test_what_lies_outside_the_data_is_never_clean(open_scene):
     assert "above the maps" in checked(open_scene, mission_of(*high, home=high[0])).not_judged[0]
 
 
+def test_a_mission_that_lies_elsewhere_says_where_it_and_the_maps_lie_and_what_looks_swapped(
+    open_scene,
+):
+    lon, lat = open_scene.maps.grid.lonlat_of_cell(4, 4)
+    zurich = [Place(8.54 + east, 47.39, 60.0, "ground") for east in (0.0, 0.01)]
+    swapped = [Place(lat, lon + east, 60.0, "ground") for east in (0.0, 0.0001)]
+    words = "Nothing was judged, as the mission lies elsewhere: the point {} is outside the region, which spans about "
+    for places, point, is_swapped in ((zurich, "8.54, 47.39", False), (swapped, f"{lat}, ", True)):
+        result = checked(open_scene, mission_of(*places, home=places[0]))
+        assert result.state == "not-judged"
+        assert result.sentence.startswith(words.partition("{}")[0] + point)
+        assert ("longitude and latitude look swapped" in result.sentence) == is_swapped
+        assert (
+            any(text.startswith("Home lies elsewhere") for text in result.not_judged) == is_swapped
+        )
+
+
 def test_where_the_source_of_buildings_ends_nothing_is_clean(open_scene):
     west, south, east, north = open_scene.city.extent_m
     half = replace(open_scene.city, extent_m=(west, south, east, north - 300))

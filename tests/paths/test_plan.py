@@ -77,7 +77,8 @@ def test_start_equal_to_goal_costs_nothing(town_ends, planned):
 
 @pytest.mark.parametrize("altitude_m", [20.0, ju.Levels()])
 def test_with_all_weights_zero_the_shortest_path_is_given_and_said_so(planned, altitude_m):
-    path = planned(altitude_m=altitude_m, weights=NOTHING)
+    with pytest.warns(UserWarning, match="All weights are zero.*Give one a weight above 0"):
+        path = planned(altitude_m=altitude_m, weights=NOTHING)
     assert path.cost == 0.0
     assert path.length_m == pytest.approx(
         planned(altitude_m=altitude_m, objective="distance").length_m

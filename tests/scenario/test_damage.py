@@ -3,6 +3,7 @@
 import itertools
 import json
 import random
+import re
 import tomllib
 import warnings
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json, write_json
+from jaxurban.io.stored import stored_maps
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Report
@@ -170,6 +172,26 @@ def test_damaged_maps_of_another_job_are_not_taken_for_ours(job):
     with pytest.raises(InputError, match="--overwrite"):
         pipeline.run_scenario(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6.0}}), job)
     assert files_of(job) == before
+
+
+@pytest.mark.slow
+def test_unfinished_maps_say_how_many_tiles_there_are_and_a_resumed_run_how_many_were(
+    tmp_path, monkeypatch, caplog
+):
+    city = tiled_runs.city()
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline.WorkFolder, "finish", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            tiled_runs.make(tmp_path / "job", city)
+    marks = sorted((tmp_path / "job" / "maps.zarr" / ".20m.jaxurban-part" / "done").glob("tile_*"))
+    marks[0].unlink()
+    left = f"{len(marks) - 1} of {len(marks)} tiles"
+    words = f"holds unfinished maps, {left}: the same `jaxurban maps` command goes on with them"
+    with pytest.raises(InputError, match=re.escape(words)):
+        stored_maps(tmp_path / "job")
+    with caplog.at_level("INFO", logger="jaxurban"):
+        pipeline.make_zarr(tiled_runs.maker(tmp_path / "job", city), Report(), tiled_runs.RAGGED)
+    assert f"resumed, {left} of 20 m" in caplog.messages
 
 
 @pytest.mark.slow

@@ -99,7 +99,7 @@ def benchmark_report(result: BenchmarkResult) -> ResultReport:
         "budget": budget,
         "settings": settings,
         "maps": result.maps,
-        "weights": weights_said(result.instances),
+        "weights": weights_said(result.instances, [result.maps]),
         "constraints": str(settings.constraints) or "none",
         "joined": joined_with_and(f"{share:.1%} at {z:g} m" for z, share in share_joined.items()),
         "num_crashed": (table.status == CRASHED).sum(),

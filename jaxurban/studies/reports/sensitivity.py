@@ -1,7 +1,7 @@
 """report.md of a study of weights, of one route or of many: its tables and figures."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import chain
@@ -212,7 +212,7 @@ def sensitivity_report(result: Sensitivity) -> ResultReport:
         "route": _route_said(result.route),
         "result": result,
         "constraints": str(result.rules.constraints) or "none",
-        "weights": weights_said(result.instances),
+        "weights": weights_said(result.instances, result.maps.values()),
         "origin": SAMPLED if result.is_sampled else GIVEN,
         "fewest": FEWEST_GROUPS,
         "fewest_runs": FEWEST_RUNS,
@@ -302,12 +302,16 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     return {name: in_percent(table) for name, table in result.items()}
 
 
-def weights_said(instances: pd.DataFrame) -> str:
-    """Return the weights that all instances share, by name; where they differ, words that say where they stand."""
+def weights_said(instances: pd.DataFrame, maps: Iterable[MetricMaps]) -> str:
+    """Return the weights that all instances share, by name, of layers that any of the maps holds.
+
+    Where the instances differ, words say where their weights stand.
+    """
     weights = shared_weights(instances)
     if weights is None:
         return Markdown("those of each route (`instances.parquet`)")
-    return ", ".join(f"{name} {weight:g}" for name, weight in weights.to_dict().items())
+    names = dict.fromkeys(("distance", *chain.from_iterable(each.metrics for each in maps)))
+    return ", ".join(f"{name} {weights[name]:g}" for name in names)
 
 
 def shared_weights(instances: pd.DataFrame) -> Weights | None:
