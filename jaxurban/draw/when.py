@@ -1,21 +1,22 @@
 """The strip of departures: by time, what routes cost above the best time, and how far they fly without a fix."""
 
 import math
+from typing import Unpack
 
 from matplotlib.figure import Figure
 
 from jaxurban.draw.frame import frame_note, joined
 from jaxurban.draw.style import (
     SERIES_COLOURS,
-    Width,
     chart,
+    drawing,
     dress,
     legend_above,
     letter,
-    styled,
 )
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.paths.when import Departures
+from jaxurban.pictures import Form
 
 MOST_TICKS, HEIGHT_IN = 8, 3.0
 FACTS = "best", "worst", "times without a path"  # of the departures, in the note
@@ -25,8 +26,8 @@ FOOT = 0.05  # of the scales, below 0, so that marks there are whole
 LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small effect looks small
 
 
-@styled
-def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") -> Figure:
+@drawing
+def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> Figure:
     """Return the cost above the best time and the length without a fix by time, a line for each time of day.
 
     At hollow marks a route differs from the best time's. A line has a gap where a route has no path. With one time
@@ -35,7 +36,7 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
     Args:
       departures: from `jaxurban.when`.
       maps: that it was planned on, or their folder.
-      width: see `plot_metric`.
+      form: width, ax and title, as in `MetricMaps.plot`.
     """
     table = departures.table.fillna({"time": "", "time_of_day": ""})
     # Columns: the first is along the axis, and each value of the second has a line.
@@ -56,7 +57,7 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
         num = 1
         facts.append("no fix is known to be lost")
     note = f"{joined(*facts)}\n{frame_note(as_maps(maps))}"
-    figure = chart(HEIGHT_IN, "When to fly", note, width)
+    figure = chart(HEIGHT_IN, "When to fly", note, **form)
     ratios = (2, 1)[:num]
     axes = figure.subplots(num, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
 

@@ -40,7 +40,6 @@ LEGEND: tuple[Artist, ...] = (  # in the order of `is_drawn`
     Patch(label="no-fly zone", **ZONE),
     Patch(label="height guessed", color=frame.GUESSED_ROOF_COLOUR),
 )
-MARGIN, LEAST_CELLS = 0.15, 30  # around the mission, of its longer side; from its middle to a side
 GAP_M = 10.0  # between steps, which are shorter: nothing is drawn there
 HEIGHT_IN = 3.4
 
@@ -86,15 +85,7 @@ def plot_mission(result: MissionCheck) -> Figure:
     # The part of the maps around the mission, a square with a margin as far as the maps reach.
     maps = result.maps
     flight = result.flight
-    whole = maps.grid
-    corners_m = flight.lines_m.reshape(-1, 2)
-    cells = ((corners_m - whole.bounds_m[:2]) / whole.resolution_m).astype(int)  # column, row
-    low, high = cells.min(axis=0), cells.max(axis=0)
-    half = max(LEAST_CELLS, int((0.5 + MARGIN) * (high - low).max()))
-    middle = (low + high) // 2
-    west, south = np.minimum(half - middle, 0).tolist()  # how many cells are cut off
-    east, north = np.minimum(middle + half - whole.shape[::-1], 0).tolist()
-    grid = whole.padded(west, south, east, north)
+    grid = frame.surroundings(maps.grid, flight.lines_m.reshape(-1, 2))
 
     # The roofs there, and what the legend names.
     layers = roof_layers(maps)
@@ -103,13 +94,11 @@ def plot_mission(result: MissionCheck) -> Figure:
     if has_guessed:
         is_guessed = maps.m("roof_guessed") & (layers[-1].values > 0)
         layers.append(frame.flat_layer(is_guessed, frame.GUESSED_ROOF_COLOUR))
-    window = grid.window_in(whole)
-    shown = [layer._replace(values=layer.values[window]) for layer in layers]
     found = result.findings
     of_zones = [zone.part_on(grid) for zone in result.zones if zone.state != "open"]
     is_drawn = True, flight.mission.home, True, True, len(found), of_zones, has_guessed
     legend = [*compress(LEGEND, is_drawn)]
-    panel = frame.MapPanel("Roof height (m)", shown)
+    panel = frame.cropped(frame.MapPanel("Roof height (m)", layers), maps.grid, grid)
     heading = frame.joined(flight.mission.name, result.sentence)
     note = frame.frame_note(maps)
     figure, (axes,) = frame.draw_maps(grid, [panel], heading, note, legend=legend, colours=colours)

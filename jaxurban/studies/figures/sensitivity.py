@@ -5,10 +5,10 @@ one.
 """
 
 from itertools import chain
+from typing import Unpack
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -38,12 +38,13 @@ from jaxurban.draw.style import (
     SERIES_COLOURS,
     Colours,
     dots,
+    drawing,
     legend_below,
     name_rows,
     panels,
-    styled,
 )
 from jaxurban.draw.write import Look
+from jaxurban.pictures import Form
 from jaxurban.studies.decided import edge_band, is_at_edge
 from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.summary import ALL
@@ -64,7 +65,8 @@ AT_ONCE = "mean, with the interval that holds for all weights at once"
 ALONE: Look = {"color": "#bbbbbb", "linewidth": 4.5, "zorder": 1}  # of a weight's interval alone
 
 
-def plot_breakpoint_routes(route: OneRoute, ax: Axes | None = None) -> Figure:
+@drawing
+def plot_breakpoint_routes(route: OneRoute, **form: Unpack[Form]) -> Figure:
     """Return a map for each varied weight with the routes along its range, coloured by where they are the cheapest.
 
     A route has the colour of the geometric middle of the values at which it is the cheapest, as a multiple of the given
@@ -106,7 +108,7 @@ def plot_breakpoint_routes(route: OneRoute, ax: Axes | None = None) -> Figure:
         label = "along the border of the maps"
         legend.append(Line2D([], [], label=label, color=INK, linestyle=DOTTED))
     figure, axes = draw_maps(
-        maps.grid, panels_of, heading, note, legend=legend, colours=colours, ax=ax
+        maps.grid, panels_of, heading, note, legend=legend, colours=colours, **form
     )
 
     for panel, name in zip(axes, route.lines, strict=True):
@@ -129,8 +131,8 @@ def _shown(num: int) -> np.ndarray:
     return np.unique(np.linspace(0, num - 1, min(num, MOST_ROUTES)).astype(int))
 
 
-@styled
-def plot_regret(summary: pd.DataFrame, wrong: float, ax: Axes | None = None) -> Figure:
+@drawing
+def plot_regret(summary: pd.DataFrame, wrong: float, **form: Unpack[Form]) -> Figure:
     """Return how much more a route costs that was planned under one wrong weight: a row per weight, a dot per city.
 
     Args:
@@ -139,13 +141,14 @@ def plot_regret(summary: pd.DataFrame, wrong: float, ax: Axes | None = None) -> 
         share of the cost, with intervals that hold for all weights at once, and ``regret_alone`` has that of each
         weight alone, a grey bar behind.
       wrong: by which factor the weight is wrong, in both directions.
+      form: width, ax and title, as in `MetricMaps.plot`.
     """
     weights = summary.weight_name[summary.regret.notna()].unique().tolist()
     is_city = summary.cut == "city"
     by_city = summary[is_city if is_city.any() else summary.cut == ALL]
     cities = by_city.value.unique()
     heading = f"How much more routes cost with one weight {wrong:g} times too large or too small"
-    figure, (panel,) = panels(1, heading, height_in=ROW_IN * len(weights), ax=ax)
+    figure, (panel,) = panels(1, heading, height_in=ROW_IN * len(weights), **form)
     for number, city in enumerate(cities):
         rows = by_city[by_city.value == city].set_index("weight_name").reindex(weights)
 

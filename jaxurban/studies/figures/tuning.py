@@ -1,9 +1,9 @@
 """Pictures of fitted weights: how sure they are, and what routes they lead to."""
 
 from collections.abc import Sequence
+from typing import Unpack
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
@@ -20,8 +20,9 @@ from jaxurban.draw.frame import (
 )
 from jaxurban.draw.metrics import line_colour, obstacle_layer, obstacle_patches
 from jaxurban.draw.paths import draw_lines
-from jaxurban.draw.style import Colours, dots, name_rows, panels, show_plain_log, styled
+from jaxurban.draw.style import Colours, dots, drawing, name_rows, panels, show_plain_log
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.pictures import Form, MapForm
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
@@ -29,8 +30,8 @@ DEMONSTRATION_COLOUR, PLANNED_COLOUR = "#f08a24", "#0b3c8c"
 PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes stand out
 
 
-@styled
-def plot_weights(fit: WeightFit, ax: Axes | None = None) -> Figure:
+@drawing
+def plot_weights(fit: WeightFit, **form: Unpack[Form]) -> Figure:
     """Return each fitted weight as a dot with its interval, on a logarithmic scale.
 
     A weight of 0 is a triangle at the upper end of its interval, and nothing where this is 0 too, as where the routes
@@ -42,7 +43,7 @@ def plot_weights(fit: WeightFit, ax: Axes | None = None) -> Figure:
     drawn = table.weight.mask(is_0, table.weight_high)
     table["weight"] = drawn.where(drawn > 0)
     heading = "Fitted weights and their intervals"
-    figure, (panel,) = panels(1, heading, height_in=0.3 * len(table), ax=ax)
+    figure, (panel,) = panels(1, heading, height_in=0.3 * len(table), **form)
     for place, name in enumerate(table.index):
         marker = "<" if is_0[name] else "o"
         row = table.loc[[name]]
@@ -56,13 +57,14 @@ def plot_weights(fit: WeightFit, ax: Axes | None = None) -> Figure:
     return figure
 
 
+@drawing
 def plot_fitted_routes(
     demonstrations: Sequence[Demonstration],
     planned: Sequence[Demonstration],
     cost_map: CostMap,
     weights: np.ndarray,
     given: str = "demonstration",
-    ax: Axes | None = None,
+    **form: Unpack[MapForm],
 ) -> Figure:
     """Return a map of the cost under weights with the demonstrations on it and the routes that the weights lead to.
 
@@ -72,7 +74,7 @@ def plot_fitted_routes(
       cost_map: one of their maps; only those on it are drawn.
       weights: ``[K]`` distance and the map's metrics.
       given: what the demonstrations are called: a fit to targets takes only their ends.
-      ax: a cell of another figure, which the picture fills.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
     """
     # What the picture says of the map and of the weights.
     grid = cost_map.grid
@@ -108,7 +110,7 @@ def plot_fitted_routes(
             *ENDS,
         ],
         colours=colours,
-        ax=ax,
+        **form,
     )
 
     # A demonstration and, thinner, the route between its ends. Their points are in metres from the southwest corner of
