@@ -40,6 +40,12 @@ def plot_heights(maps: MapsLike, **form: Unpack[MapForm]) -> Figure:
     Args:
       maps: from `build_maps` or `open_maps`.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> ju.plot.plot_heights(maps, width="column").savefig("heights.pdf")
     """
     maps = as_maps(maps)
     rasters = {name: maps.m(name) for name in (ROOF, TERRAIN, GUESSED) if name in maps.ds}
@@ -56,6 +62,12 @@ def plot_city(city: City, **form: Unpack[MapForm]) -> Figure:
     Args:
       city: from `City.from_files`, `sample_city` or `demo_city`.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> ju.plot.plot_city(city).savefig("city.png")
     """
     box_m = city.extent_m if city.bounds is None else box_of(city.bounds, city.crs)
     x_min, y_min, x_max, y_max = box_m

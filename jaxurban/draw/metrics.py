@@ -248,8 +248,15 @@ def plot_metric(
       time_of_day: of the population maps; all of them, a panel each, if left out.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: a name, altitude, time or time of day that these maps do not hold, or a width that is none.
+
+    Examples:
+      >>> figure = ju.plot.plot_metric(maps, "gps", altitude_m=[20.0, 60.0], cmap="cividis")
+      >>> figure.savefig("gps.png")
     """
     maps = as_maps(maps)
     variables = drawn_variables(maps)
@@ -317,8 +324,16 @@ def plot_epochs(
       altitude_m: at which altitude; the lowest if left out.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: a map that has no times or no altitudes, or an altitude that these maps do not hold.
+
+    Examples:
+      >>> times = "2020-04-27T16:00:00Z", "2020-04-27T18:00:00Z"
+      >>> series = ju.build_maps(city, grid=maps.grid, altitudes_m=(20.0,), gps=ju.Gps(times=times))
+      >>> ju.plot.plot_epochs(series, "gps", title="GPS").savefig("epochs.png")
     """
     maps = as_maps(maps)
     z = min(maps.altitudes_m) if altitude_m is None else altitude_m
@@ -395,8 +410,14 @@ def plot_obstacles(
       altitude_m: which altitude, or which ones; all if left out.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: an altitude that these maps do not hold.
+
+    Examples:
+      >>> ju.plot.plot_obstacles(maps, altitude_m=20.0).savefig("obstacles.png")
     """
     maps = as_maps(maps)
     has_data = maps.ds["has_data"].values
@@ -495,8 +516,14 @@ def plot_gps_rating(
       time: UTC time of the GPS maps; the first if left out.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: an altitude or time that these maps do not hold.
+
+    Examples:
+      >>> ju.plot.plot_gps_rating(maps, altitude_m=20.0).savefig("rating.png")
     """
     maps = as_maps(maps)
     time = time or maps.times[0]
@@ -534,8 +561,14 @@ def plot_sensor_choice(
       time: UTC time of the GPS maps; the first if left out.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: an altitude or time that these maps do not hold.
+
+    Examples:
+      >>> ju.plot.plot_sensor_choice(maps).savefig("sensors.png")
     """
     maps = as_maps(maps)
     time = time or maps.default_time
@@ -558,8 +591,14 @@ def plot_population(maps: MapsLike, **form: Unpack[MapForm]) -> Figure:
       maps: from `build_maps` or `open_maps`.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: maps without population.
+
+    Examples:
+      >>> ju.plot.plot_population(maps).savefig("people.png")
     """
     maps = as_maps(maps)
     if "density" not in maps.ds:

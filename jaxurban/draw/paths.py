@@ -169,8 +169,16 @@ def plot_paths(
       time_of_day: of the population map of a panel without paths; the first if left out.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
+
+    Examples:
+      >>> shortest = ju.plan(maps, start, goal, altitude_m=60.0, objective="distance")
+      >>> figure = ju.plot.plot_paths(maps, {"cheapest": path, "shortest": shortest})
+      >>> figure.savefig("paths.png")
     """
     # A panel for each place: the altitude, time and time of day of a map that paths were planned on.
     maps = as_maps(maps)
@@ -492,8 +500,14 @@ def plot_overview(
       time, time_of_day: of the maps, where there is no path; the first if left out.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
+
+    Examples:
+      >>> ju.plot.plot_overview(maps, {"cheapest": path}).savefig("overview.png")
     """
     # The first place at the altitude that paths were planned on, and the paths with a route there.
     maps = as_maps(maps)
@@ -562,8 +576,15 @@ def save_figures(maps: MapsLike, paths: Paths, folder: str | Path) -> list[Path]
       paths: one, several or a batch; empty for maps alone.
       folder: where to; made if it is not there.
 
+    Returns:
+      The files.
+
     Raises:
       InputError: the folder cannot be written to, or holds such files that were not written so, or changed since.
+
+    Examples:
+      >>> [file.name for file in ju.plot.save_figures(maps, path, "figures")][:3]
+      ['overview.png', 'heights.png', 'obstacle.png']
     """
     maps = as_maps(maps)
     outputs = {f"{name}.png": draw for name, draw in maps_figures(maps, paths).items()}

@@ -61,8 +61,14 @@ def plot_profile(
       report: from `explain`; made here if left out.
       form: width, ax and title, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: there is no path, or the maps are others.
+
+    Examples:
+      >>> ju.plot.plot_profile(path, maps, width=120.0).savefig("profile.png")
     """
     maps = as_maps(maps)
     report = report or explain(planned, maps)
@@ -222,6 +228,9 @@ def save_profile(
 
     Raises:
       InputError: there is no path, the maps are others, or the file cannot be written.
+
+    Examples:
+      >>> ju.plot.save_profile(path, maps, "profile.pdf")
     """
     check_picture(file)
     save(Path(file).parent, {Path(file).name: lambda: plot_profile(planned, maps, report)})

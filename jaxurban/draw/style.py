@@ -230,6 +230,14 @@ def bare(figure: Figure) -> Figure:
 
     Args:
       figure: from any ``plot_*`` function.
+
+    Returns:
+      The figure.
+
+    Examples:
+      >>> figure = ju.plot.bare(maps.plot("gps", 60.0))
+      >>> figure.get_suptitle()
+      ''
     """
     lines_in = HEAD_IN * len(figure.get_suptitle().splitlines())
     lines_in += LINE_IN * len(figure.get_supxlabel().splitlines())
@@ -486,8 +494,8 @@ def recoloured(colours: Colours, cmap: Any) -> Colours:
     """
     if isinstance(colours.norm, BoundaryNorm):
         return colours
-    if not isinstance(cmap, Colormap) and cmap not in list(colormaps):
-        hint = nearest_name(str(cmap), list(colormaps))
+    if not isinstance(cmap, Colormap) and cmap not in colormaps:
+        hint = nearest_name(str(cmap), colormaps)
         raise InputError(f"cmap must be a colour map of Matplotlib or its name, got {cmap!r}{hint}")
     return replace(colours, cmap=cmap)
 

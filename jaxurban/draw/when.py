@@ -19,8 +19,9 @@ from jaxurban.paths.when import Departures
 from jaxurban.pictures import Form
 
 MOST_TICKS, HEIGHT_IN = 8, 3.0
+MARK_PT = 4.0  # of a hollow mark, over others
 FACTS = "best", "worst", "times without a path"  # of the departures, in the note
-WIDTHS_PT = 3.2, 2.0, *(1.2,) * 5  # of the lines
+WIDTHS_PT = 6.0, 2.5, *(1.2,) * 5  # of the lines, whose marks are as much wider
 LABELS = "cost above best (%)", "no fix (m)"
 FOOT = 0.05  # of the scales, below 0, so that marks there are whole
 LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small effect looks small
@@ -37,6 +38,13 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
       departures: from `jaxurban.when`.
       maps: that it was planned on, or their folder.
       form: width, ax and title, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> departures = ju.when(maps, [(start, goal)], altitude_m=60.0)
+      >>> ju.plot.plot_when(departures, maps).savefig("when.png")
     """
     table = departures.table.fillna({"time": "", "time_of_day": ""})
     # Columns: the first is along the axis, and each value of the second has a line.
@@ -73,9 +81,17 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
             "o-",
             color=colour,
             linewidth=wide_pt,
+            markersize=MARK_PT + wide_pt,
             label=name or "the best time's route",
         )
-        cost.plot(line["x"][changed], above[changed], "o", color=colour, markerfacecolor="white")
+        cost.plot(
+            line["x"][changed],
+            above[changed],
+            "o",
+            color=colour,
+            markersize=MARK_PT,
+            markerfacecolor="white",
+        )
         for panel in no_fix:
             panel.plot(line["x"], line["no_fix_m"], color=colour, linewidth=wide_pt)
     cost.plot([], [], "ok", markerfacecolor="white", label="another route than at the best time")

@@ -22,14 +22,20 @@ def plot_return(home: ReturnAltitude, **form: Unpack[MapForm]) -> Figure:
     Args:
       home: from `ju.return_altitude`.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> ju.plot.plot_return(ju.return_altitude(maps, start)).savefig("return.png")
     """
     figure = plot_metric(home.maps, NAME, **form)
     panel = figure.axes[0]
     figures = home.figures
-    highest_m = typed_m(figures["highest_m"])
     share = precise_percent(figures["clear_share"])
+    highest_m = typed_m(figures["highest_m"])
     panel.set_title(
-        f"{figures['typed_m']} m clears {share} of the area, {highest_m} m all with a value"
+        f"{figures['typed_m']} m clears {share} of the area, {highest_m} m all that is not beige (no value)"
     )
     panel.plot(*home.home_xy_m, marker="*", markersize=14.0, clip_on=False, **END_LOOK)
     panel.annotate("home", home.home_xy_m, (9, 7), **LABEL)

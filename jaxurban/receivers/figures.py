@@ -48,8 +48,15 @@ def plot_sky(of: SkyAt, time: str | None = None, **form: Unpack[Form]) -> Figure
       time: one of its times; the first, if left out.
       form: width, ax and title, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: no such time.
+
+    Examples:
+      >>> here = ju.sky(city, (-73.971, 40.7795), 20.0)
+      >>> ju.plot.plot_sky(here, title="The sky over a street").savefig("sky.png")
     """
     # The figure with its heading and note, which counts what is drawn.
     width_in = width_in_of(form)

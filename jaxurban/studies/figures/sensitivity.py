@@ -50,7 +50,7 @@ from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.summary import ALL
 
 DOTTED = (0, (1, 1))
-MOST_ROUTES = 10  # along the range of one weight
+MOST_ROUTES = 5  # along the range of one weight
 GIVEN_ROUTE: Look = HALO | {  # dark with a white edge, so that it is seen over all colours
     "color": INK,
     "linewidth": 1.2,
@@ -72,6 +72,15 @@ def plot_breakpoint_routes(route: OneRoute, **form: Unpack[Form]) -> Figure:
     A route has the colour of the geometric middle of the values at which it is the cheapest, as a multiple of the given
     weight; later routes are thinner, so that earlier ones are seen below them. Of more than `MOST_ROUTES` some are left
     out, evenly. The route under the given weights is dashed, and those along the border of the maps are dotted.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> settings = ju.studies.SensitivitySettings(vary=("gps",))
+      >>> query = {"altitudes_m": [60.0], "settings": settings, "progress": False}
+      >>> result = ju.studies.sensitivity(maps, "one", [(start, goal)], **query)
+      >>> result.plot("switch_routes", title="The weight of GPS").savefig("switch_routes.png")
     """
     low, high = route.factors
 
@@ -94,7 +103,7 @@ def plot_breakpoint_routes(route: OneRoute, **form: Unpack[Form]) -> Figure:
         title = f"{name}, {len(_shown(num))} of {num} routes"
         panels_of.append(MapPanel(title, layers, is_closed=is_closed))
     heading = joined("Cheapest routes along the range of each weight", day, by=", ")
-    facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")
+    facts = joined(f"{z:g} m above ground", "ground: normalised cost, the darker the higher")
     note = "\n".join([facts, frame_note(maps, settings["time"]), rules_said(settings)])
     legend = obstacle_patches(maps, BLOCKED_COLOUR, panels_of)
     legend += [Line2D([], [], label="given weights", **GIVEN_ROUTE), *ENDS]
@@ -142,6 +151,13 @@ def plot_regret(summary: pd.DataFrame, wrong: float, **form: Unpack[Form]) -> Fi
         weight alone, a grey bar behind.
       wrong: by which factor the weight is wrong, in both directions.
       form: width, ax and title, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> result = ju.studies.sensitivity(maps, "many", 12, progress=False)
+      >>> result.plot("regret", width="column").savefig("regret.pdf")
     """
     weights = summary.weight_name[summary.regret.notna()].unique().tolist()
     is_city = summary.cut == "city"

@@ -1,10 +1,10 @@
 """Pictures of fitted weights: how sure they are, and what routes they lead to."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Unpack
 
 import numpy as np
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from jaxurban.draw.frame import (
@@ -19,15 +19,14 @@ from jaxurban.draw.frame import (
     rules_said,
 )
 from jaxurban.draw.metrics import line_colour, obstacle_layer, obstacle_patches
-from jaxurban.draw.paths import draw_lines
-from jaxurban.draw.style import Colours, dots, drawing, name_rows, panels, show_plain_log
+from jaxurban.draw.paths import colours_of_cost, draw_lines
+from jaxurban.draw.style import dots, drawing, name_rows, panels, show_plain_log
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.pictures import Form, MapForm
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
-DEMONSTRATION_COLOUR, PLANNED_COLOUR = "#f08a24", "#0b3c8c"
-PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes stand out
+DEMONSTRATION_COLOUR, PLANNED_COLOUR = "#009e73", "#0b3c8c"
 
 
 @drawing
@@ -36,6 +35,14 @@ def plot_weights(fit: WeightFit, **form: Unpack[Form]) -> Figure:
 
     A weight of 0 is a triangle at the upper end of its interval, and nothing where this is 0 too, as where the routes
     do not identify it; a dot without an interval is hollow.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> shown = ju.fit.demonstrations([path], maps)
+      >>> fit = ju.fit.fit_weights(shown, bootstrap=0)
+      >>> ju.plot.plot_weights(fit).savefig("weights.png")
     """
     # A row per weight, with the ends of its interval named as `dots` expects them; NaN where there is no dot.
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
@@ -75,6 +82,17 @@ def plot_fitted_routes(
       weights: ``[K]`` distance and the map's metrics.
       given: what the demonstrations are called: a fit to targets takes only their ends.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> shown = ju.fit.demonstrations([path], maps)
+      >>> fit = ju.fit.fit_weights(shown, bootstrap=0)
+      >>> fitted = ju.plan(maps, start, goal, altitude_m=60.0, weights=fit.weights)
+      >>> found = ju.fit.demonstrations([fitted], maps)
+      >>> figure = ju.plot.plot_fitted_routes(shown, found, shown[0].query.cost_map, fit.weights.vector(fit.names))
+      >>> figure.savefig("routes.png")
     """
     # What the picture says of the map and of the weights.
     grid = cost_map.grid
@@ -84,14 +102,10 @@ def plot_fitted_routes(
     settings = cost_map.record | {"weights": fitted}
     note = f"{frame_note(maps, cost_map.time)}\n{rules_said(settings)}"
 
-    # [Y, X] the cost of each cell under the weights. The scale goes on beyond the costs of 99 % of the free cells, by
-    # the factor `PALE`, so that routes stand out from pale cells.
+    # [Y, X] the cost of each cell under the weights, NaN where no route goes.
     cost = np.tensordot(weights[1:], cost_map.costs, axes=1)
-    free = cost[cost_map.is_free]
-    least = float(free.min())
-    most = float(np.percentile(free, 99))
-    norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
-    colours = Colours("gray_r", norm, "cost of a cell\nunder the weights", extend="max")
+    free = np.where(cost_map.is_free, cost, np.nan)
+    colours = replace(colours_of_cost(free), label="cost of a cell\nunder the weights")
     obstacles = obstacle_layer(maps, cost_map.altitude_m, BLOCKED_COLOUR)
     has_data = maps.ds["has_data"].values
     is_closed = ~cost_map.is_free & (obstacles.values < 0) & has_data

@@ -35,8 +35,16 @@ def plot_difference(result: MapComparison, layer: str, **form: Unpack[MapForm]) 
       layer: one of its layers.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
     Raises:
       InputError: a layer that is not compared.
+
+    Examples:
+      >>> other = ju.build_maps(city, grid=maps.grid, altitudes_m=maps.altitudes_m, gps=ju.Gps(mask_deg=20.0))
+      >>> result = ju.studies.compare(maps, other, progress=False)
+      >>> ju.plot.plot_difference(result, "gps", title="A mask of 20 degrees").savefig("difference.png")
     """
     change = result.difference(layer)
     rows = result.table[result.table.layer == layer]
