@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from jaxurban.draw.frame import END_LOOK, HALO
 from jaxurban.draw.metrics import plot_metric, precise_percent
-from jaxurban.draw.style import TEXT_PT, drawing
+from jaxurban.draw.style import HEAD_IN, TEXT_PT, drawing, grow, width_in_of, wrapped
 from jaxurban.draw.write import Look
 from jaxurban.flights.autopilots import typed_m
 from jaxurban.flights.return_altitude import NAME, ReturnAltitude
@@ -29,14 +29,16 @@ def plot_return(home: ReturnAltitude, **form: Unpack[MapForm]) -> Figure:
     Examples:
       >>> ju.plot.plot_return(ju.return_altitude(maps, start)).savefig("return.png")
     """
+    width_in = width_in_of(form)
     figure = plot_metric(home.maps, NAME, **form)
     panel = figure.axes[0]
     figures = home.figures
     share = precise_percent(figures["clear_share"])
     highest_m = typed_m(figures["highest_m"])
-    panel.set_title(
-        f"{figures['typed_m']} m clears {share} of the area, {highest_m} m all that is not beige (no value)"
-    )
+    text = f"{figures['typed_m']} m clears {share} of the area, {highest_m} m all but what has no value (beige)"
+    title = wrapped(text, width_in, TEXT_PT)
+    panel.set_title(title)
+    grow(figure, HEAD_IN * title.count("\n"))  # further lines take no room from the map
     panel.plot(*home.home_xy_m, marker="*", markersize=14.0, clip_on=False, **END_LOOK)
     panel.annotate("home", home.home_xy_m, (9, 7), **LABEL)
     return figure
