@@ -30,7 +30,6 @@ from jaxurban.draw.style import (
     add_colour_bar,
     bar_ticks,
     chart,
-    grow,
     legend_columns,
     letter,
     panel_columns,
@@ -392,7 +391,7 @@ def _settle(figure: Any, axes: Sequence[Axes], size: Size) -> None:
         height_in = figure.get_figheight()
         panel_in = min(size.panel_in, cell.width * figure.get_figwidth())
         lack_in = panel_in * size.tall - cell.height * height_in
-        grow(figure, size.num_rows * lack_in)
+        figure.set_figheight(height_in + size.num_rows * lack_in)
     for panel in axes:
         panel.set(aspect="equal", anchor="NW")
 

@@ -83,11 +83,11 @@ COST_LABEL = "normalised cost\n(0: best free cell, 1: worst"
 COST_COLOURS = Colours(PALE, Normalize(0, 1), f"{COST_LABEL})")
 SHOWN_SHARES = 0.02, 0.98  # of the free cells that are shown lie below the ends of the scale
 LARGER = 2.0  # than the surroundings of the routes: of larger maps these alone are drawn
-ON_A_GRID = "N-neighbour grid: the cheapest route along the N directions of a grid; at another angle one may cost less."
+ON_A_GRID = "N-neighbour grid: the best route along the N directions of a grid; at other angles one may be better."
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
-STEP_PT = 2.4  # by which a path is wider than the next one, or less
+STEP_PT = 2.2  # by which a path is wider than the next one, or less
 # Widths of the last of several paths of a panel, which lies over the others, and of the first of many.
-LINE_PT, WIDEST_PT = 1.8, 7.5
+LINE_PT, WIDEST_PT = 2.2, 7.5
 EDGED = "edged"  # gid of lines that have white edges
 # Of their white edge, which parts them from the map and from lines below: of a lone line, and of how much less wide
 # than the line below a line is, so that little of that is hidden.
@@ -356,7 +356,7 @@ def colours_of_cost(*costs: np.ndarray) -> Colours:
     low, high = np.quantile(known, SHOWN_SHARES).tolist()
     if low == high:
         return COST_COLOURS
-    label = f"{COST_LABEL},\nat most {100 * SHOWN_SHARES[0]:g} % of the cells beyond an end)"
+    label = f"{COST_LABEL},\nat most {100 * SHOWN_SHARES[0]:g} % beyond an end)"
     extend = "both" if known.min() < low else "max"
     return Colours(PALE, Normalize(low, high), label, extend)
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import pandas as pd
@@ -24,9 +24,6 @@ from jaxurban.public import FactsRepr, listed
 from jaxurban.receivers.rule import STATES
 from jaxurban.receivers.sight import Sight, cautions_of, xy_of
 from jaxurban.settings import as_tuple, parse_time
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -85,7 +82,7 @@ class SkyAt(FactsRepr):
         one_of("time", time, self.times)
         return sky_from(self._sight, self.lonlat, self.altitude_m, time=time)
 
-    def plot(self, time: str | None = None, **form: Unpack[Form]) -> "Figure":
+    def plot(self, time: str | None = None, **form: Unpack[Form]) -> Any:
         """Return a picture of the sky at a time: the horizon, and which satellites are seen and hidden.
 
         Args:

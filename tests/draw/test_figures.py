@@ -320,7 +320,7 @@ def test_a_lone_costly_cell_leaves_the_scale_of_the_cost_to_the_others():
     assert (colours.norm.vmin, colours.norm.vmax) == pytest.approx((low, high))
     assert bar_ticks(colours)[-1] == pytest.approx(high)
     assert colours.extend == "both"
-    assert "2 % of the cells beyond an end" in colours.label
+    assert "at most 2 % beyond an end" in colours.label
     flat = colours_of_cost(np.zeros((3, 3)))
     assert (flat.norm.vmin, flat.norm.vmax) == (0, 1)
 

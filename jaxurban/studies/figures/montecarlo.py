@@ -11,6 +11,7 @@ from jaxurban.draw.paths import planner_colours, widths_of
 from jaxurban.draw.style import drawing, legend_below, letter_all, panels, step_up
 from jaxurban.pictures import Form
 
+CURVE = 0.6  # width of a curve by that of a route
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 
 
@@ -31,7 +32,7 @@ def plot_costs(table: pd.DataFrame, **form: Unpack[Form]) -> Figure:
     left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
     for panel, (altitude_m, rows) in zip(axes, table.groupby("altitude_m"), strict=True):
         # Earlier curves are wider, so that all are seen where they coincide.
-        widths_pt = widths_of(len(colours))
+        widths_pt = CURVE * widths_of(len(colours))
         for (planner, colour), width_pt in zip(colours.items(), widths_pt, strict=True):
             ratios = rows.ratio[rows.planner == planner].to_numpy()
             step_up(panel, ratios, end, color=colour, label=planner, linewidth=width_pt)
