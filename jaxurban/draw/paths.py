@@ -454,7 +454,7 @@ def outcome_line(path: PlannedPath, name: str, has_cost: bool = True) -> str:
         return f"{legend_name(name)}: {path.status.value}"
     cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
     length = f"{path.length_m / 1000:.2f} km"
-    graph = f" ({path.search.graph})" if is_best_of_grid(path) else ""
+    graph = f" (best of the {path.search.graph})" if is_best_of_grid(path) else ""
     return f"{legend_name(name)}: {joined(cost if has_cost else '', length, by=', ')}{graph}"
 
 

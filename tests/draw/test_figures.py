@@ -202,7 +202,7 @@ def test_pictures_say_what_they_show():
             plotting.plot_overview(maps, (), altitude_m=60.0),
             ("Metric maps, 60 m above ground", f"{near}\n"),
         ),
-        (plotting.plot_overview(maps, ()), ("(0: best free cell, 1: worst)\n",)),
+        (plotting.plot_overview(maps, ()), ("(0: best free cell, 1: worst,\n",)),
         (plotting.plot_metric(maps, "risk"), (near,)),
         (plotting.plot_metric(maps, "num_visible"), ("median 7\n",)),
     ):
@@ -365,7 +365,7 @@ def test_the_cheapest_path_of_a_grid_is_said_to_be_one_of_its_directions(maps):
         best = replace(path, status=Status.OPTIMAL, search=replace(path.search, graph=graph))
         text = texts_of(plotting.plot_paths(maps, best))
         assert (ON_A_GRID in text.replace("\n", " ")) == is_said
-        assert ("km (8-neighbour grid)" in text) == is_said
+        assert ("km (best of the 8-neighbour grid)" in text) == is_said
     assert ON_A_GRID not in texts_of(plotting.plot_paths(maps, path)).replace("\n", " ")
 
 
@@ -645,7 +645,8 @@ def test_no_axes_are_empty_and_no_bar_is_wider_than_its_map(maps, width):
         assert axes.images or axes.get_legend() or axes.collections or axes.patches
     for panel in panels_of(figure):
         (bar,) = panel.child_axes
-        assert bar.get_window_extent().width == pytest.approx(panel.get_window_extent().width)
+        room = panel.get_window_extent().width
+        assert 0.9 * room < bar.get_window_extent().width < room + 1e-3  # its open ends lie beyond
 
 
 def test_titles_name_the_time_of_day(maps):

@@ -57,7 +57,7 @@ def plot_weights(fit: WeightFit, **form: Unpack[Form]) -> Figure:
         dots(panel, np.array([place]), row, "weight", color=line_colour(name), marker=marker)
     panel.set(
         xscale="log",
-        xlabel="weight, of a sum of 1 (triangle: at most;\nbars that leave the axis reach 0)",
+        xlabel="weight, of a sum of 1\n(triangle: at most; bars\nthat leave the axis reach 0)",
     )
     show_plain_log(panel.xaxis)
     name_rows(panel, (table.index + ", " + table.unit).to_list())
