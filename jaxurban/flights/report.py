@@ -28,7 +28,13 @@ from jaxurban.paths.route_report import TOUCHED
 FOUND_COLOUR, STREET_COLOUR = "#d00000", "#9a9a9a"
 STREETS = ("street", "major")
 NUMBER: Look = frame.HALO | {"color": FOUND_COLOUR, "zorder": 21}  # over the ends of the mission
-FOUND: Look = NUMBER | {"marker": "x", "linestyle": "none", "label": "findings, by number"}
+FOUND: Look = NUMBER | {
+    "marker": "x",
+    "markersize": 9.0,
+    "markeredgewidth": 2.0,
+    "linestyle": "none",
+    "label": "findings, by number",
+}
 MISSION: Look = frame.HALO | {"color": ALTITUDE_COLOUR, "label": "mission", "zorder": 4}
 HOME: Look = frame.END_LOOK | {"marker": "p", "markersize": 14.0, "label": "home"}
 ZONE: Look = {"facecolor": "none", "edgecolor": FOUND_COLOUR, "hatch": "////"}
