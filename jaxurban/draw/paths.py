@@ -64,6 +64,7 @@ from jaxurban.paths.plan import rules_on
 from jaxurban.pictures import MapForm
 from jaxurban.planners.base import EVERY_PATH, Status
 from jaxurban.settings import DEFAULTS
+from jaxurban.world.grid import Grid
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
 PLANNER_COLOURS = {
@@ -200,12 +201,7 @@ def plot_paths(
     ]
 
     # Of the maps what lies around the routes, and one scale for all that is shown.
-    grid = maps.grid
-    routes_m = [each.path.xy_m for each in drawn if each.path.status.has_path]
-    if routes_m:
-        near = surroundings(grid, np.concatenate(routes_m))
-        if np.prod(grid.shape) > LARGER * np.prod(near.shape):
-            grid = near
+    grid = _shown_part(maps.grid, drawn)
     panels = [cropped(panel, maps.grid, grid) for panel in panels]
     cost_colours = colours_of_cost(*(panel.layers[0].values for panel in panels))
     panels = [
@@ -240,6 +236,16 @@ def plot_paths(
     for panel, shown, here in zip(axes, named_at.values(), paths_at, strict=True):
         draw_paths(panel, here, [colours[each.name] for each in shown])
     return figure
+
+
+def _shown_part(whole: Grid, drawn: Sequence[DrawnPath]) -> Grid:
+    """Return the surroundings of routes if maps are much larger (`LARGER`), else the whole grid of the maps."""
+    routes_m = [each.path.xy_m for each in drawn if each.path.status.has_path]
+    if not routes_m:
+        return whole
+    near = surroundings(whole, np.concatenate(routes_m))
+    is_larger = np.prod(whole.shape) > LARGER * np.prod(near.shape)
+    return near if is_larger else whole
 
 
 def named_paths(paths: Paths, names: Sequence[str] | None) -> list[DrawnPath]:

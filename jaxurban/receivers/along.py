@@ -98,9 +98,9 @@ class SkyAt(FactsRepr):
         Examples:
           >>> ju.sky(city, (-73.971, 40.7795), 20.0).plot().savefig("sky.png")
         """
-        from jaxurban.receivers.figures import plot_sky  # imported here: it brings Matplotlib
+        from jaxurban import plot  # imported here: it brings Matplotlib
 
-        return plot_sky(self, time, **form)
+        return plot.plot_sky(self, time, **form)
 
     @property
     def facts(self) -> dict[str, str]:
