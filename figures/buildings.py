@@ -10,6 +10,7 @@ from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 import jaxurban as ju
+from jaxurban.draw.frame import mark_ends
 from jaxurban.draw.write import write_picture
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.differentiable import SoftParams, soften
@@ -47,7 +48,6 @@ def plot_costs(city: ju.City, xy_m: np.ndarray, table: pd.DataFrame) -> Figure:
         },
     )
     panel.plot(*xy_m.T, color="#111111", linewidth=1.5)
-    panel.plot(*xy_m[[0, -1]].T, "o", color="#111111")
     (west, south), (east, north) = xy_m.min(axis=0) - AROUND_M, xy_m.max(axis=0) + AROUND_M
     panel.set(
         xlim=(west, east),
@@ -57,6 +57,8 @@ def plot_costs(city: ju.City, xy_m: np.ndarray, table: pd.DataFrame) -> Figure:
     )
     panel.ticklabel_format(useOffset=False, style="plain")
     panel.locator_params(nbins=4)
+    panel.set_title("What one more metre of a building costs the route")
+    mark_ends(panel, xy_m[0], xy_m[-1])
     return figure
 
 

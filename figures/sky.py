@@ -26,7 +26,7 @@ EDGES_DBHZ = (25, 30, 35, 40, 45)  # between the classes of received satellites
 def plot_sky(evidence: Evidence, credit: str) -> Figure:
     """Return the sky of one place, how strongly hidden and visible satellites are heard, and displaced cities."""
     heading = "Satellites that the maps call hidden are mostly heard weakly or not at all"
-    figure = chart(3.6, heading, credit, WIDTH_MM)
+    figure = chart(3.6, heading, credit, width=WIDTH_MM)
     grid = figure.add_gridspec(3, 2, height_ratios=(1, 1, 0.01))  # the last row holds the legend
     place = figure.add_subplot(grid[:2, 0], projection="polar")
     strengths, cities = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])

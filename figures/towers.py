@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxurban as ju
+from jaxurban.draw.frame import mark_ends
 from jaxurban.draw.write import write_picture
 from jaxurban.plot import plot_metric
 
@@ -35,6 +36,7 @@ def main() -> None:
     west_m = max(x_m.min() - MARGIN_M, maps.grid.x_min_m)
     axes.set_xlim(west_m, west_m + side_m)
     axes.set_ylim(y_m.min() - MARGIN_M, y_m.max() + 2 * MARGIN_M)
+    mark_ends(axes, *shortest.xy_m[[0, -1]])
     # Above the routes and beside the arrow to the north.
     axes.legend(loc="upper left", fontsize=8.0, facecolor="lightgrey", framealpha=1.0)
     write_picture(figure, DOCS / "towers.png", dpi=SCREEN_DPI)

@@ -99,7 +99,7 @@ for name, route in routes.items():
         f"{layer} {m[row, col].mean():.3f}" for layer, m in zip(layers, along, strict=True)
     )
     print(f"{name:15} {route.length_m:6,.0f} m; mean along it: {means}")
-plot_paths(maps, list(routes.values()), names=list(routes))
+plot_paths(maps, routes)
 
 # %% [markdown]
 # ## How much may the weight be off?

@@ -478,6 +478,10 @@ TABLE: dict[str, dict[str, Any]] = {
         "altitude_m": 40.0,
         "time": LATER,
         "time_of_day": "night",
+        "width": "column",
+        "title": "GPS downtown",
+        "ax": Case(5, refused="ax must be a cell"),
+        "cmap": Case("none such", refused="cmap must be"),
     },
     "MetricMaps.save": {"layers": ("hdop",)},
     "PlannedPath.save": {

@@ -14,7 +14,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.public import NAMESPACES, PICTURES, TYPES
 
-MODULES = [ju, *(import_module(f"jaxurban.{name}") for name in (*NAMESPACES, TYPES))]
+MODULES = [ju, *(import_module(f"jaxurban.{name}") for name in (*NAMESPACES, PICTURES, TYPES))]
 HOOKS = {
     "model_post_init",
     "tree_flatten_with_keys",

@@ -148,7 +148,7 @@ def test_pictures_take_one_path_several_or_a_batch(paths):
     for given in (paths[0], [paths[0], paths[1]], paths):
         assert "20 m" in plot_paths(MAPS, given).axes[0].get_title("left")
     assert plot_overview(MAPS, paths).axes
-    with pytest.raises(ju.InputError, match="paths must be PlannedPath"):
+    with pytest.raises(ju.InputError, match=r"paths must be PlannedPath \(from plan"):
         plot_paths(MAPS, [5])
 
 

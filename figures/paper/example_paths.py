@@ -27,8 +27,8 @@ from jaxurban.draw.frame import (
 )
 from jaxurban.draw.metrics import obstacle_patches
 from jaxurban.draw.paths import (
-    COST_COLOURS,
     cost_layers,
+    grid_said,
     named_paths,
     outcome_line,
     path_entries,
@@ -185,12 +185,16 @@ def draw(
     drawn = [[each for each in paths if each.path.status.has_path] for paths in named]
     colours = planner_colours(each.name for each in chain(*drawn))
     entries = path_entries(colours, *results)
-    look = {"legend": [*legend, *entries], "colours": COST_COLOURS, "has_ticks": False}
+    look = {"legend": [*legend, *entries], "colours": layers[0].colours, "has_ticks": False}
     figure, axes = draw_maps(
         parts[0],
         panels,
         heading,
-        f"{note}\npreset paper  ·  {rules_said(shared.record)}",
+        joined(
+            f"{note}\npreset paper  ·  {rules_said(shared.record)}",
+            grid_said(chain(*named)),
+            by="\n",
+        ),
         **look,
     )
     for panel, paths in zip(axes, drawn, strict=True):

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -27,25 +27,26 @@ from jaxurban.draw.style import (
     SMALL_PT,
     TEXT_PT,
     Colours,
-    Width,
     add_colour_bar,
     bar_ticks,
     chart,
-    inches,
     legend_columns,
     letter,
     panel_columns,
+    recoloured,
     styled,
     tick_label,
-    width_of,
+    width_in_of,
     wrapped,
 )
 from jaxurban.draw.write import Look
+from jaxurban.errors import InputError
 from jaxurban.knowledge import OF_SKY, names_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.variables import CAVEAT, names_in
 from jaxurban.paths.constraints import describe_clearances, describe_kept
+from jaxurban.pictures import Form
 from jaxurban.settings import time_said as time_said
 from jaxurban.world.grid import Grid, crs_said
 
@@ -80,7 +81,7 @@ ENDS = tuple(  # of a route, in a legend
     Line2D([], [], marker=marker, markersize=size, label=name, **END_LOOK)
     for name, marker, size in (("start", "o", 6.0), ("goal", "*", 11.0))
 )
-BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
+BLOCKED_COLOUR = "#d9c08c"  # obstacles over the pale cost map
 HATCH, VEIL_COLOUR = "///////", f"{BLOCKED_COLOUR}40"  # of cells that are closed and no obstacle
 CLOSED = Patch(
     facecolor=VEIL_COLOUR,
@@ -89,7 +90,8 @@ CLOSED = Patch(
     linewidth=0.4,
     label="closed to routes by\nclearance, unknown\nheight or zone",
 )
-NOWHERE = np.empty(0, bool)
+MARGIN, LEAST_CELLS = 0.15, 30  # around points, of their longer side; from their middle to a side
+NOWHERE = np.empty((0, 0), bool)
 LegendEntry = tuple[str, str] | Artist  # a name and its colour, or what is drawn
 
 
@@ -172,8 +174,8 @@ def draw_maps(
     legend: Iterable[LegendEntry] = (),
     colours: Colours | None = None,
     has_ticks: bool = True,
-    width: Width = "page",
-    ax: Axes | None = None,
+    cmap: Any = None,
+    **form: Unpack[Form],
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure of maps and the axes of its panels, in reading order.
 
@@ -187,22 +189,30 @@ def draw_maps(
       legend: entries beside the panels.
       colours: of one bar for all panels; left out, each panel whose last layer is none of classes has one below it.
       has_ticks: whether eastings and northings are shown, where no bar is in their place.
-      width: of the figure, see `jaxurban.draw.style.inches`.
-      ax: see `jaxurban.draw.style.chart`.
+      cmap: in place of the colours of all maps that have a scale, and of the bar.
+      form: see `jaxurban.draw.style.chart`.
 
     Returns:
       The figure, and one axes per panel.
 
     Raises:
-      InputError: a width that the figure cannot have.
+      InputError: a width that the figure cannot have, axes that are no cell, or a colour map that is none, or where no
+        map has a scale.
     """
+    if cmap is not None:
+        panels = [_recoloured_panel(panel, cmap) for panel in panels]
+        if colours is not None:
+            colours = recoloured(colours, cmap)
+        elif not any(map(_own_bar, panels)):
+            raise InputError("cmap: this map has classes, each of its own colour: leave cmap out")
+
     # How large the panels are, and how much room ticks, feet and colour bars leave them.
     bars = [_own_bar(panel) for panel in panels]
     if len(panels) == 1:
         colours = colours or bars[0]
     if colours is not None:
         bars = [None] * len(panels)
-    width_in = inches(width) if ax is None else width_of(ax)
+    width_in = width_in_of(form)
     foot_in = LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
     if any(bars):
         has_ticks = False
@@ -212,7 +222,7 @@ def draw_maps(
     size = _size(grid, len(panels), width_in, foot_in)
 
     # The cells of the panels, in rows. Where no cell is left for the legend, a low row is added below them.
-    figure = chart(FIRST_IN * size.num_rows, heading, note, width, ax)
+    figure = chart(FIRST_IN * size.num_rows, heading, note, **form)
     row_heights = [1.0] * size.num_rows
     is_full = len(panels) == size.num_rows * size.num_cols
     if is_full and not size.is_beside:
@@ -245,6 +255,12 @@ def draw_maps(
     _add_key(figure, legend, gap, gap_in)
     _settle(figure, axes, size)
     return figure, axes
+
+
+def _recoloured_panel(panel: MapPanel, cmap: Any) -> MapPanel:
+    """Return a panel whose maps with a scale have another colour map."""
+    layers = [DrawnMap(values, recoloured(colours, cmap)) for values, colours in panel.layers]
+    return panel._replace(layers=layers)
 
 
 def _size(grid: Grid, num: int, width_in: float, foot_in: float) -> Size:
@@ -409,6 +425,31 @@ def mark_ends(
     marks = [mark for mark in panel.artists if isinstance(mark, AnchoredOffsetbox)]
     for mark, name in zip(marks, (clear[0], clear[-1]), strict=False):
         mark.loc = AnchoredOffsetbox.codes[name]
+
+
+def surroundings(whole: Grid, points_m: np.ndarray) -> Grid:
+    """Return the part of a grid around points: a square with a margin, smaller where the grid is.
+
+    Args:
+      whole: the grid.
+      points_m: ``[N, 2]`` easting and northing of points on it.
+    """
+    cells = ((points_m - whole.bounds_m[:2]) / whole.resolution_m).astype(int)  # column, row
+    low, high = cells.min(axis=0), cells.max(axis=0)
+    half = max(LEAST_CELLS, int((0.5 + MARGIN) * (high - low).max()))
+    shape = np.array(whole.shape[::-1])
+    size = np.minimum(2 * half, shape)
+    first = np.clip((low + high) // 2 - half, 0, shape - size)
+    west, south = (-first).tolist()
+    east, north = (first + size - shape).tolist()
+    return whole.padded(west, south, east, north)
+
+
+def cropped(panel: MapPanel, whole: Grid, part: Grid) -> MapPanel:
+    """Return a panel of maps on a grid as one of a part of the grid."""
+    window = part.window_in(whole)
+    layers = [layer._replace(values=layer.values[window]) for layer in panel.layers]
+    return panel._replace(layers=layers, is_closed=panel.is_closed[window])
 
 
 def draw_layers(spot: Axes, grid: Grid, layers: Sequence[DrawnMap], is_closed: np.ndarray) -> None:

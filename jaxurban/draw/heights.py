@@ -1,6 +1,7 @@
 """Pictures of how high a city stands: of its maps, or of the city before there are any."""
 
 from collections.abc import Mapping
+from typing import Unpack
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,32 +19,41 @@ from jaxurban.draw.frame import (
     joined,
 )
 from jaxurban.draw.metrics import EMPTY_COLOUR, colours_of, layers_above_zero, precise_percent
-from jaxurban.draw.style import Width, ends_of
+from jaxurban.draw.style import drawing, ends_of
 from jaxurban.io.city import City
 from jaxurban.io.rasterise import rasterise
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.metrics.variables import AUXILIARY_VARIABLES
+from jaxurban.pictures import MapForm
 from jaxurban.world.grid import Grid, box_of, covering_grid
 
 CELLS = 500  # along the longer side of a city's picture, about as many as a page shows
 ROOF, TERRAIN, GUESSED = "roof", "terrain", "roof_guessed"
 
 
-def plot_heights(maps: MapsLike, *, width: Width = "page") -> Figure:
+@drawing
+def plot_heights(maps: MapsLike, **form: Unpack[MapForm]) -> Figure:
     """Return roof heights above ground and, where it is not flat, the terrain's elevation.
 
     Where maps know which roofs have a guessed height, a panel shows these.
 
     Args:
       maps: from `build_maps` or `open_maps`.
-      width: see `plot_metric`.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> ju.plot.plot_heights(maps, width="column").savefig("heights.pdf")
     """
     maps = as_maps(maps)
     rasters = {name: maps.m(name) for name in (ROOF, TERRAIN, GUESSED) if name in maps.ds}
-    return _heights_figure(maps.grid, rasters, frame_note(maps, has_sky=False), width)
+    return _heights_figure(maps.grid, rasters, frame_note(maps, has_sky=False), **form)
 
 
-def plot_city(city: City, *, width: Width = "page") -> Figure:
+@drawing
+def plot_city(city: City, **form: Unpack[MapForm]) -> Figure:
     """Return what a city's files say of heights, as `plot_heights` does of maps, before any map is made.
 
     Heights are those of all that counts: buildings, structures and plants. Each is that at the centre of a cell, of
@@ -51,7 +61,13 @@ def plot_city(city: City, *, width: Width = "page") -> Figure:
 
     Args:
       city: from `City.from_files`, `sample_city` or `demo_city`.
-      width: see `plot_metric`.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> ju.plot.plot_city(city).savefig("city.png")
     """
     box_m = city.extent_m if city.bounds is None else box_of(city.bounds, city.crs)
     x_min, y_min, x_max, y_max = box_m
@@ -65,11 +81,11 @@ def plot_city(city: City, *, width: Width = "page") -> Figure:
     if surface.roof_guessed is not None:
         rasters[GUESSED] = np.asarray(surface.roof_guessed)
     note = joined(*ground_said(grid, city.attribution))
-    return _heights_figure(grid, rasters, note, width)
+    return _heights_figure(grid, rasters, note, **form)
 
 
 def _heights_figure(
-    grid: Grid, rasters: Mapping[str, np.ndarray], note: str, width: Width
+    grid: Grid, rasters: Mapping[str, np.ndarray], note: str, **form: Unpack[MapForm]
 ) -> Figure:
     """Return panels of roofs, of the ground where there is a raster of it, and of guessed roofs where they are known.
 
@@ -77,7 +93,7 @@ def _heights_figure(
       grid: of all of them.
       rasters: ``[Y, X]`` by name: `ROOF` and, where they are known, `TERRAIN` and `GUESSED`; NaN without data.
       note: below the heading.
-      width: see `plot_metric`.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
     """
     legend = [("no roof", EMPTY_COLOUR)]
     roof_m = rasters[ROOF]
@@ -106,4 +122,4 @@ def _heights_figure(
         ]
         panels.append(MapPanel(f"height guessed: {share} of cells with a roof", layers))
         legend.append(("height guessed", GUESSED_ROOF_COLOUR))
-    return draw_maps(grid, panels, "Heights (m)", note, legend=legend, width=width)[0]
+    return draw_maps(grid, panels, "Heights (m)", note, legend=legend, **form)[0]

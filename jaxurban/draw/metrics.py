@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 import matplotlib
 import numpy as np
@@ -26,7 +26,7 @@ from jaxurban.draw.frame import (
     symbol_of,
     varied,
 )
-from jaxurban.draw.style import Colours, Width, ends_of
+from jaxurban.draw.style import Colours, drawing, ends_of
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
@@ -43,6 +43,7 @@ from jaxurban.metrics.variables import (
     stored_name,
 )
 from jaxurban.paths.closed import obstacles_at
+from jaxurban.pictures import MapForm
 
 AVAILABILITY, RATED = "gps_availability", "gdop"
 DISTANCE_COLOUR = "#555555"
@@ -225,6 +226,7 @@ def altitudes_of(maps: MetricMaps, altitude_m: Altitudes) -> Sequence[float]:
     return np.atleast_1d(np.asarray(altitude_m, float)).tolist() or maps.altitudes_m
 
 
+@drawing
 def plot_metric(
     maps: MapsLike,
     name: str,
@@ -232,7 +234,7 @@ def plot_metric(
     altitude_m: Altitudes = None,
     time: str | None = None,
     time_of_day: str | None = None,
-    width: Width = "page",
+    **form: Unpack[MapForm],
 ) -> Figure:
     """Return panels of one metric (of the cost, a user's own too, a DOP or num_visible), all on one scale.
 
@@ -244,17 +246,24 @@ def plot_metric(
       altitude_m: which altitude, or which ones; all if left out.
       time: UTC time of the GPS maps; the first if left out.
       time_of_day: of the population maps; all of them, a panel each, if left out.
-      width: ``"column"`` or ``"page"`` of a journal (88.9 or 182 mm), or millimetres.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: a name, altitude, time or time of day that these maps do not hold, or a width that is none.
+
+    Examples:
+      >>> figure = ju.plot.plot_metric(maps, "gps", altitude_m=[20.0, 60.0], cmap="cividis")
+      >>> figure.savefig("gps.png")
     """
     maps = as_maps(maps)
     variables = drawn_variables(maps)
     name = name if name in variables else stored_name(name, maps.ds)
     variable = variables[one_of("a map to draw from these maps", name, variables)]
     if name == "obstacle":
-        return plot_obstacles(maps, altitude_m=altitude_m, width=width)
+        return plot_obstacles(maps, altitude_m=altitude_m, **form)
     colours = metric_colours(maps, name)
     patches = obstacle_patches(maps)
     has_sky = is_of_sky(maps.ds, variable)
@@ -300,11 +309,12 @@ def plot_metric(
         positive, colour = classes[1]
         classes[1] = f"{positive}\n({meaning})", colour
     legend, bar = [*classes, *patches], None if classes else colours
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=bar, width=width)[0]
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=bar, **form)[0]
 
 
+@drawing
 def plot_epochs(
-    maps: MapsLike, name: str = "gps", *, altitude_m: float | None = None, width: Width = "page"
+    maps: MapsLike, name: str = "gps", *, altitude_m: float | None = None, **form: Unpack[MapForm]
 ) -> Figure:
     """Return panels of one map at every time that these maps hold, at one altitude and all on one scale.
 
@@ -312,10 +322,18 @@ def plot_epochs(
       maps: from `build_maps` or `open_maps`.
       name: which map: gps, a DOP or num_visible.
       altitude_m: at which altitude; the lowest if left out.
-      width: see `plot_metric`.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: a map that has no times or no altitudes, or an altitude that these maps do not hold.
+
+    Examples:
+      >>> times = "2020-04-27T16:00:00Z", "2020-04-27T18:00:00Z"
+      >>> series = ju.build_maps(city, grid=maps.grid, altitudes_m=(20.0,), gps=ju.Gps(times=times))
+      >>> ju.plot.plot_epochs(series, "gps", title="GPS").savefig("epochs.png")
     """
     maps = as_maps(maps)
     z = min(maps.altitudes_m) if altitude_m is None else altitude_m
@@ -329,9 +347,7 @@ def plot_epochs(
     note = frame_note(maps, of=name)
     legend = obstacle_patches(maps)
     colours = metric_colours(maps, name)
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, width=width)[
-        0
-    ]
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, **form)[0]
 
 
 def _panel(
@@ -383,18 +399,25 @@ def _enough_of(values_m: np.ndarray, altitudes_m: Sequence[float]) -> str:
     )
 
 
+@drawing
 def plot_obstacles(
-    maps: MapsLike, *, altitude_m: Altitudes = None, width: Width = "page"
+    maps: MapsLike, *, altitude_m: Altitudes = None, **form: Unpack[MapForm]
 ) -> Figure:
     """Return panels of free and obstacle cells by altitude; titles give the share of obstacles.
 
     Args:
       maps: from `build_maps` or `open_maps`.
       altitude_m: which altitude, or which ones; all if left out.
-      width: see `plot_metric`.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: an altitude that these maps do not hold.
+
+    Examples:
+      >>> ju.plot.plot_obstacles(maps, altitude_m=20.0).savefig("obstacles.png")
     """
     maps = as_maps(maps)
     has_data = maps.ds["has_data"].values
@@ -421,7 +444,7 @@ def plot_obstacles(
     legend = [("free", FREE_COLOUR), *patches]
     heading = "Obstacles, by altitude above ground"
     panels, note = varied(panels, frame_note(maps, has_sky=False))
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, **form)[0]
 
 
 def group_numbers(maps: MetricMaps) -> np.ndarray:
@@ -447,10 +470,10 @@ def _class_figure(
     numbers_at: Mapping[float, np.ndarray],
     classes: Sequence[tuple[str, str]],
     last: int,
-    title: str,
+    of_share: str,
     heading: str,
     time: str | None,
-    width: Width,
+    **form: Unpack[MapForm],
 ) -> Figure:
     """Return panels of the class of each free cell by altitude, with obstacles over them.
 
@@ -459,26 +482,31 @@ def _class_figure(
       numbers_at: ``[Y, X]`` class of each cell, from 0, by altitude.
       classes: name and colour of each class, in the order of their numbers.
       last: the titles give the share of free cells whose class is this one or an earlier one; 0 without free cells.
-      title: ``{}`` in it stands for that share, and the altitude before it.
+      of_share: what the titles say: ``{}`` in it stands for that share, and the altitude before it.
       heading: of the figure; ``by altitude above ground`` follows.
       time: UTC time of the GPS maps.
-      width: of the figure.
+      form: of the figure.
     """
     panels = []
     for z, numbers in numbers_at.items():
         is_free = maps.is_free(z, "centre")
         share = (numbers[is_free] <= last).mean() if is_free.any() else 0.0
         drawn = classes_layer(np.where(is_free, numbers, -1), [colour for _, colour in classes])
-        text = f"{z:g} m  ·  {title.format(precise_percent(share))}"
+        text = f"{z:g} m  ·  {of_share.format(precise_percent(share))}"
         panels.append(MapPanel(text, [drawn, obstacle_layer(maps, z)]))
     heading += ", by altitude above ground"
     panels, note = varied(panels, frame_note(maps, time))
     legend = [*classes, *obstacle_patches(maps)]
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, width=width)[0]
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, **form)[0]
 
 
+@drawing
 def plot_gps_rating(
-    maps: MapsLike, *, altitude_m: Altitudes = None, time: str | None = None, width: Width = "page"
+    maps: MapsLike,
+    *,
+    altitude_m: Altitudes = None,
+    time: str | None = None,
+    **form: Unpack[MapForm],
 ) -> Figure:
     """Return panels of the paper's GPS rating by altitude; titles give the share of free cells rated good or better.
 
@@ -486,10 +514,16 @@ def plot_gps_rating(
       maps: from `build_maps` or `open_maps`.
       altitude_m: which altitude, or which ones; all if left out.
       time: UTC time of the GPS maps; the first if left out.
-      width: see `plot_metric`.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: an altitude or time that these maps do not hold.
+
+    Examples:
+      >>> ju.plot.plot_gps_rating(maps, altitude_m=20.0).savefig("rating.png")
     """
     maps = as_maps(maps)
     time = time or maps.times[0]
@@ -507,12 +541,17 @@ def plot_gps_rating(
         z: np.asarray(rating(maps.m(RATED, z, time=time))).astype(int)
         for z in altitudes_of(maps, altitude_m)
     }
-    title = "{} good or better"
-    return _class_figure(maps, ratings, classes, Rating.GOOD, title, "GPS rating", time, width)
+    of_share = "{} good or better"
+    return _class_figure(maps, ratings, classes, Rating.GOOD, of_share, "GPS rating", time, **form)
 
 
+@drawing
 def plot_sensor_choice(
-    maps: MapsLike, *, altitude_m: Altitudes = None, time: str | None = None, width: Width = "page"
+    maps: MapsLike,
+    *,
+    altitude_m: Altitudes = None,
+    time: str | None = None,
+    **form: Unpack[MapForm],
 ) -> Figure:
     """Return panels of the better sensor by altitude: GPS where m_gps > m_lidar, else lidar.
 
@@ -520,10 +559,16 @@ def plot_sensor_choice(
       maps: from `build_maps` or `open_maps`.
       altitude_m: which altitude, or which ones; all if left out.
       time: UTC time of the GPS maps; the first if left out.
-      width: see `plot_metric`.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: an altitude or time that these maps do not hold.
+
+    Examples:
+      >>> ju.plot.plot_sensor_choice(maps).savefig("sensors.png")
     """
     maps = as_maps(maps)
     time = time or maps.default_time
@@ -535,18 +580,25 @@ def plot_sensor_choice(
         z: np.where(maps.prefers_gps(z, time=time), 0, 1) for z in altitudes_of(maps, altitude_m)
     }
     heading = "The better sensor"
-    return _class_figure(maps, sensors, classes, 0, "GPS in {}", heading, time, width)
+    return _class_figure(maps, sensors, classes, 0, "GPS in {}", heading, time, **form)
 
 
-def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
+@drawing
+def plot_population(maps: MapsLike, **form: Unpack[MapForm]) -> Figure:
     """Return panels of people per km2 by time of day, on one logarithmic scale; titles give the people in the region.
 
     Args:
       maps: from `build_maps` or `open_maps`.
-      width: see `plot_metric`.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: maps without population.
+
+    Examples:
+      >>> ju.plot.plot_population(maps).savefig("people.png")
     """
     maps = as_maps(maps)
     if "density" not in maps.ds:
@@ -562,9 +614,7 @@ def plot_population(maps: MapsLike, *, width: Width = "page") -> Figure:
     legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
     heading = "Population density"
     note = frame_note(maps, has_sky=False)
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, width=width)[
-        0
-    ]
+    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, **form)[0]
 
 
 def layers_above_zero(values: np.ndarray, colours: Colours) -> list[DrawnMap]:

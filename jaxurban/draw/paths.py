@@ -4,25 +4,28 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain, cycle
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 
 from jaxurban.draw.frame import (
     BLOCKED_COLOUR,
     ENDS,
     DrawnMap,
     MapPanel,
+    cropped,
     draw_maps,
     frame_note,
     joined,
     mark_ends,
     rules_said,
+    surroundings,
     time_said,
 )
 from jaxurban.draw.heights import plot_heights
@@ -46,8 +49,8 @@ from jaxurban.draw.metrics import (
     plot_sensor_choice,
     roof_layers,
 )
-from jaxurban.draw.style import Colours, Width
-from jaxurban.draw.write import Figures, Look, save
+from jaxurban.draw.style import Colours, drawing
+from jaxurban.draw.write import Figures, save
 from jaxurban.errors import InputError
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -58,8 +61,10 @@ from jaxurban.metrics.variables import AUXILIARY_VARIABLES
 from jaxurban.paths.closed import OBSTACLE, causes_at, constraints_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import rules_on
-from jaxurban.planners.base import Status
+from jaxurban.pictures import MapForm
+from jaxurban.planners.base import EVERY_PATH, Status
 from jaxurban.settings import DEFAULTS
+from jaxurban.world.grid import Grid
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
 PLANNER_COLOURS = {
@@ -70,16 +75,26 @@ PLANNER_COLOURS = {
     "bitstar-plus": "#ffb000",
     "ptp": "#c51b8a",
 }
-OTHER_COLOURS = ("#00857a", "#7b3fb5", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff", "#404040")
-COST_COLOURS = Colours("gray", Normalize(0, 1), "normalised cost\n(0: best free cell, 1: worst)")
+OTHER_COLOURS = ("#00857a", "#4a148c", "#7fc241", "#8c510a", "#59d8c8", "#d9a3ff", "#404040")
+# Pale, so that routes stand out, and bluish, as obstacles are tan; the few costs beyond the scale's end are darker.
+PALE = LinearSegmentedColormap.from_list("pale", ["#fbfaff", "#a596cf"]).with_extremes(
+    over="#7d68b3"
+)
+COST_LABEL = "normalised cost\n(0: best free cell, 1: worst"
+COST_COLOURS = Colours(PALE, Normalize(0, 1), f"{COST_LABEL})")
+SHOWN_SHARES = 0.02, 0.98  # of the free cells that are shown lie below the ends of the scale
+LARGER = 2.0  # than the surroundings of the routes: of larger maps these alone are drawn
+ON_A_GRID = "N-neighbour grid: the best route along the N directions of a grid; at other angles one may be better."
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
-STEP_PT = 1.6  # by which a path is wider than the next one, or less
-# Widths of the last path of a panel, which lies over the others, and of the first of many.
-LINE_PT, WIDEST_PT = 1.4, 4.0
+STEP_PT = 2.2  # by which a path is wider than the next one, or less
+# Widths of the last of several paths of a panel, which lies over the others, and of the first of many.
+LINE_PT, WIDEST_PT = 2.2, 7.5
 EDGED = "edged"  # gid of lines that have white edges
-EDGE_PT = 0.4  # of their white edge, which parts them from the map
+# Of their white edge, which parts them from the map and from lines below: of a lone line, and of how much less wide
+# than the line below a line is, so that little of that is hidden.
+EDGE_PT, EDGE_SHARE = 0.8, 0.18
 
-Paths = PlannedPath | Sequence[PlannedPath | None]
+Paths = PlannedPath | Sequence[PlannedPath | None] | Mapping[str, PlannedPath | None]
 
 
 class CostChoice(NamedTuple):
@@ -104,13 +119,15 @@ class DrawnPath(NamedTuple):
 
 
 def paths_in(paths: Paths) -> list[PlannedPath]:
-    """Return the paths of one, several or a batch.
+    """Return the paths of one, several, a batch, or a dictionary.
 
     Raises:
       InputError: something else than paths.
     """
     if isinstance(paths, PlannedPath):
         return [paths]
+    if isinstance(paths, Mapping):
+        paths = [*paths.values()]
     planned = [path for path in paths if path is not None]
     for path in planned:
         if not isinstance(path, PlannedPath):
@@ -124,6 +141,7 @@ def planner_colours(planners: Iterable[str]) -> dict[str, str]:
     return {name: PLANNER_COLOURS.get(name) or next(others) for name in dict.fromkeys(planners)}
 
 
+@drawing
 def plot_paths(
     maps: MapsLike,
     paths: Paths,
@@ -132,10 +150,12 @@ def plot_paths(
     names: Sequence[str] | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
-    width: Width = "page",
-    ax: Axes | None = None,
+    **form: Unpack[MapForm],
 ) -> Figure:
-    """Return the normalised cost by altitude (black best, white worst) with the paths of all planners.
+    """Return the normalised cost by altitude (the paler, the better) with the paths of all planners.
+
+    The scale holds the costs of all but a few of the free cells that are shown (`SHOWN_SHARES`). Of maps that are much
+    larger than the surroundings of the paths, these alone are drawn.
 
     A panel shows the GPS time and the time of day that its paths were planned for, in its title where they differ from
     panel to panel. Under it stands each planner's cost and length, or its status. Earlier paths are wider, so that all
@@ -143,16 +163,23 @@ def plot_paths(
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
-      paths: one, several or a batch; empty for the costs alone.
+      paths: one, several, a batch, or a dictionary by name; empty for the costs alone.
       altitude_m: which altitude, or which ones; left out, those of the paths, or all of the maps' where there is none.
-      names: what the paths are called, one after the other; left out, by their planners.
+      names: what the paths are called, one after the other; left out, by their keys, or else by their planners.
       time: UTC time of the GPS maps of a panel without paths; the first if left out.
       time_of_day: of the population map of a panel without paths; the first if left out.
-      width: see `plot_metric`.
-      ax: a cell of another figure, which the picture fills.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
+
+    Examples:
+      >>> shortest = ju.plan(maps, start, goal, altitude_m=60.0, objective="distance")
+      >>> figure = ju.plot.plot_paths(maps, {"cheapest": path, "shortest": shortest})
+      >>> figure.savefig("paths.png")
     """
     # A panel for each place: the altitude, time and time of day of a map that paths were planned on.
     maps = as_maps(maps)
@@ -164,6 +191,7 @@ def plot_paths(
     for z in altitudes_of(maps, altitude_m):
         places += _places_at(maps, z, planned, time, time_of_day)
     named_at = {place: [each for each in named if each.place == place] for place in places}
+    drawn = list(chain.from_iterable(named_at.values()))
     times = {place.time for place in places}
     days = {place.time_of_day for place in places}
     has_times = len(times) > 1
@@ -172,15 +200,24 @@ def plot_paths(
         _cost_panel(maps, place, shown, has_times, has_days) for place, shown in named_at.items()
     ]
 
+    # Of the maps what lies around the routes, and one scale for all that is shown.
+    grid = _shown_part(maps.grid, drawn)
+    panels = [cropped(panel, maps.grid, grid) for panel in panels]
+    cost_colours = colours_of_cost(*(panel.layers[0].values for panel in panels))
+    panels = [
+        panel._replace(layers=[panel.layers[0]._replace(colours=cost_colours), panel.layers[1]])
+        for panel in panels
+    ]
+
     # The heading, which names the time of day if all panels have one.
-    drawn = list(chain.from_iterable(named_at.values()))
     what = "Cost and paths" if drawn else "Cost"
     day = "" if has_days else days.pop()
     heading = joined(f"{what}, by altitude above ground", day, by=", ")
 
     # The note: sky and maps, and the rules of the routes.
     facts = frame_note(maps, None if has_times else times.pop())
-    note = joined(facts, rules_said(*(each.path.settings for each in drawn)), by="\n")
+    rules = rules_said(*(each.path.settings for each in drawn))
+    note = joined(facts, rules, grid_said(drawn), by="\n")
 
     # The legend: what no path enters, and each path that is drawn in its colour.
     colours = planner_colours(each.name for each in named)
@@ -188,31 +225,42 @@ def plot_paths(
     names_drawn = {each.name: colours[each.name] for each in drawn}
     entries = path_entries(names_drawn, *paths_at)
     figure, axes = draw_maps(
-        maps.grid,
+        grid,
         panels,
         heading,
         note,
         legend=[*obstacle_patches(maps, BLOCKED_COLOUR, panels), *entries],
-        colours=COST_COLOURS,
-        width=width,
-        ax=ax,
+        colours=cost_colours,
+        **form,
     )
     for panel, shown, here in zip(axes, named_at.values(), paths_at, strict=True):
         draw_paths(panel, here, [colours[each.name] for each in shown])
     return figure
 
 
+def _shown_part(whole: Grid, drawn: Sequence[DrawnPath]) -> Grid:
+    """Return the surroundings of routes if maps are much larger (`LARGER`), else the whole grid of the maps."""
+    routes_m = [each.path.xy_m for each in drawn if each.path.status.has_path]
+    if not routes_m:
+        return whole
+    near = surroundings(whole, np.concatenate(routes_m))
+    is_larger = np.prod(whole.shape) > LARGER * np.prod(near.shape)
+    return near if is_larger else whole
+
+
 def named_paths(paths: Paths, names: Sequence[str] | None) -> list[DrawnPath]:
     """Return paths with what they are called.
 
     Args:
-      paths: one, several or a batch.
-      names: of the paths, in their order; None: each is called by its planner.
+      paths: one, several, a batch, or a dictionary by name.
+      names: of the paths, in their order; None: each is called by its key, or else by its planner.
 
     Raises:
       InputError: something else than paths, or another number of names.
     """
     planned = paths_in(paths)
+    if isinstance(paths, Mapping) and names is None:
+        names = [name for name, path in paths.items() if path is not None]
     if names is not None and (isinstance(names, str) or len(names) != len(planned)):
         raise InputError(
             f"names must be a list of {len(planned)}, one for each path, got {names!r}"
@@ -298,7 +346,25 @@ def cost_layers(
 ) -> list[DrawnMap]:
     """Return the normalised cost (0: best free cell, 1: worst) and, over it, the obstacles, as layers of a picture."""
     norm = maps.normalised(altitude_m, time=time, time_of_day=time_of_day)
-    return [DrawnMap(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
+    colours = colours_of_cost(norm)
+    return [DrawnMap(norm, colours), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
+
+
+def colours_of_cost(*costs: np.ndarray) -> Colours:
+    """Return the colours of normalised costs: one scale, between whose ends all but a few of the cells lie.
+
+    Args:
+      costs: ``[Y, X]`` of each map that is shown, NaN where no cell is free.
+    """
+    known = np.concatenate([cost[np.isfinite(cost)] for cost in costs])
+    if not known.size:
+        return COST_COLOURS
+    low, high = np.quantile(known, SHOWN_SHARES).tolist()
+    if low == high:
+        return COST_COLOURS
+    label = f"{COST_LABEL},\nat most {100 * SHOWN_SHARES[0]:g} % beyond an end)"
+    extend = "both" if known.min() < low else "max"
+    return Colours(PALE, Normalize(low, high), label, extend)
 
 
 def closed_at(maps: MetricMaps, place: CostChoice, paths: Sequence[PlannedPath]) -> np.ndarray:
@@ -341,16 +407,29 @@ def draw_lines(
       styles: of the lines, one after the other, as Matplotlib has them.
     """
     widths_pt = widths_of(len(lines_m))
-    look: Look = {"joinstyle": "round", "zorder": 4, "gid": EDGED}
-    edges = LineCollection(lines_m, linewidths=widths_pt + 2 * EDGE_PT, colors="white", **look)
-    lines = LineCollection(lines_m, linewidths=widths_pt, colors=colours, linestyles=styles, **look)
-    for drawn in (edges, lines):
-        panel.add_collection(drawn, autolim=False)
+    steps_pt = -np.diff(widths_pt)
+    edge_pt = min(EDGE_PT, EDGE_SHARE * steps_pt.min(initial=np.inf))
+    for line_m, colour, style, width_pt in zip(
+        lines_m, colours, cycle(styles), widths_pt, strict=False
+    ):
+        effect = withStroke(linewidth=width_pt + 2 * edge_pt, foreground="white")
+        line = LineCollection(
+            [line_m],
+            linewidths=width_pt,
+            colors=[colour],
+            linestyles=[style],
+            joinstyle="round",
+            zorder=4,
+            gid=EDGED,
+            path_effects=[effect],
+        )
+        panel.add_collection(line, autolim=False)
 
 
 def widths_of(num: int) -> np.ndarray:
-    """Return the widths of lines in points, each less than the one before it."""
-    return np.linspace(min(WIDEST_PT, LINE_PT + STEP_PT * (num - 1)), LINE_PT, num)
+    """Return the widths of lines in points, each less than the one before it; a lone line is a wide one."""
+    widest_pt = min(WIDEST_PT, LINE_PT + STEP_PT * max(num - 1, 1))
+    return np.linspace(widest_pt, LINE_PT, num)
 
 
 def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -> list[Line2D]:
@@ -381,7 +460,18 @@ def outcome_line(path: PlannedPath, name: str, has_cost: bool = True) -> str:
         return f"{legend_name(name)}: {path.status.value}"
     cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
     length = f"{path.length_m / 1000:.2f} km"
-    return f"{legend_name(name)}: {joined(cost if has_cost else '', length, by=', ')}"
+    graph = f" (best of the {path.search.graph})" if is_best_of_grid(path) else ""
+    return f"{legend_name(name)}: {joined(cost if has_cost else '', length, by=', ')}{graph}"
+
+
+def is_best_of_grid(path: PlannedPath) -> bool:
+    """Return whether a path is the cheapest of a grid, and one at any angle may cost less."""
+    return path.status is Status.OPTIMAL and path.search.graph not in ("", EVERY_PATH)
+
+
+def grid_said(named: Iterable[DrawnPath]) -> str:
+    """Return what the cheapest path of a grid is, if any of some paths is one."""
+    return ON_A_GRID if any(is_best_of_grid(each.path) for each in named) else ""
 
 
 def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:
@@ -395,6 +485,7 @@ def legend_name(name: str) -> str:
     return name if len(name) <= MOST_LETTERS else f"{name[: MOST_LETTERS - 1]}…"
 
 
+@drawing
 def plot_overview(
     maps: MapsLike,
     paths: Paths = (),
@@ -403,20 +494,26 @@ def plot_overview(
     names: Sequence[str] | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
-    width: Width = "page",
+    **form: Unpack[MapForm],
 ) -> Figure:
     """Return one picture of a region: roof heights, the map of each metric, and paths over the cost.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
-      paths: one, several or a batch; none for the maps alone.
+      paths: one, several, a batch, or a dictionary by name; none for the maps alone.
       altitude_m: one of the maps'; left out, the lowest of the paths', or the maps' first where there is none.
-      names: what the paths are called, one after the other; left out, by their planners.
+      names: what the paths are called, one after the other; left out, by their keys, or else by their planners.
       time, time_of_day: of the maps, where there is no path; the first if left out.
-      width: see `plot_metric`.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
+
+    Examples:
+      >>> ju.plot.plot_overview(maps, {"cheapest": path}).savefig("overview.png")
     """
     # The first place at the altitude that paths were planned on, and the paths with a route there.
     maps = as_maps(maps)
@@ -455,7 +552,7 @@ def plot_overview(
     # Note, heading and legend of the picture, and the paths over the last panel.
     colours = planner_colours(each.name for each in named)
     rules = rules_said(*(path.settings for path in drawn))
-    note = joined(frame_note(maps, time), rules, by="\n")
+    note = joined(frame_note(maps, time), rules, grid_said(named), by="\n")
     heading = joined(f"Metric maps{what}, {z:g} m above ground", time_of_day, by=", ")
     figure, axes = draw_maps(
         maps.grid,
@@ -468,7 +565,7 @@ def plot_overview(
             *path_entries(colours, drawn),
         ],
         has_ticks=False,
-        width=width,
+        **form,
     )
     draw_paths(axes[-1], drawn, [colours[each.name] for each in named])
     return figure
@@ -485,8 +582,15 @@ def save_figures(maps: MapsLike, paths: Paths, folder: str | Path) -> list[Path]
       paths: one, several or a batch; empty for maps alone.
       folder: where to; made if it is not there.
 
+    Returns:
+      The files.
+
     Raises:
       InputError: the folder cannot be written to, or holds such files that were not written so, or changed since.
+
+    Examples:
+      >>> [file.name for file in ju.plot.save_figures(maps, path, "figures")][:3]
+      ['overview.png', 'heights.png', 'obstacle.png']
     """
     maps = as_maps(maps)
     outputs = {f"{name}.png": draw for name, draw in maps_figures(maps, paths).items()}

@@ -1,6 +1,7 @@
 """The profile of a planned route: what it meets, by distance flown."""
 
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 import pandas as pd
@@ -12,12 +13,11 @@ from jaxurban.draw.style import (
     FAINT_INK,
     SMALL_PT,
     TEXT_PT,
-    Width,
     chart,
+    drawing,
     dress,
     legend_above,
     letter,
-    styled,
     tick_label,
 )
 from jaxurban.draw.write import Look, save
@@ -29,6 +29,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import without_fix
 from jaxurban.paths.route_report import CLEARANCE, GUESSED, RouteReport
 from jaxurban.paths.suffixes import check_picture
+from jaxurban.pictures import Form
 from jaxurban.world.kinds import GROUPS
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#c51b8a", "#1a1a1a", "#ffd9d4"
@@ -40,13 +41,12 @@ HATCHED: Look = {"facecolor": "#00000033", "edgecolor": "white", "hatch": "/////
 HEIGHT_IN, SECOND_IN = 6.1, 1.2  # of the figure; of a second panel of metrics
 
 
-@styled
+@drawing
 def plot_profile(
     planned: PlannedPath,
     maps: MapsLike,
     report: RouteReport | None = None,
-    *,
-    width: Width = "page",
+    **form: Unpack[Form],
 ) -> Figure:
     """Return altitude and roofs beneath, metrics, and the clearance along a route, one above the other.
 
@@ -59,10 +59,16 @@ def plot_profile(
       planned: from `plan`.
       maps: the maps it was planned on, or their folder.
       report: from `explain`; made here if left out.
-      width: see `plot_metric`.
+      form: width, ax and title, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: there is no path, or the maps are others.
+
+    Examples:
+      >>> ju.plot.plot_profile(path, maps, width=120.0).savefig("profile.png")
     """
     maps = as_maps(maps)
     report = report or explain(planned, maps)
@@ -79,7 +85,7 @@ def plot_profile(
     meanings = dict.fromkeys(metric.one_is for metric in maps.metrics.values())
     height_in = HEIGHT_IN + SECOND_IN * (len(meanings) - 1)
     note = frame_note(maps, planned.settings["time"])
-    figure = chart(height_in, f"Route profile: {summary}", note, width)
+    figure = chart(height_in, f"Route profile: {summary}", note, **form)
     ratios = (1, *(1.1, 0.7)[: len(meanings)], 1)
     axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
     heights, *of_metrics, clearance = axes
@@ -222,6 +228,9 @@ def save_profile(
 
     Raises:
       InputError: there is no path, the maps are others, or the file cannot be written.
+
+    Examples:
+      >>> ju.plot.save_profile(path, maps, "profile.pdf")
     """
     check_picture(file)
     save(Path(file).parent, {Path(file).name: lambda: plot_profile(planned, maps, report)})

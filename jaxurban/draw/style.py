@@ -4,12 +4,12 @@ import math
 import re
 import string
 import textwrap
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from io import BytesIO
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,7 @@ from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, LogNorm, Normalize
+from matplotlib.colors import BoundaryNorm, Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import (
@@ -29,15 +29,18 @@ from matplotlib.ticker import (
 )
 from matplotlib.transforms import Bbox
 
+from jaxurban.checks import nearest_name, typed
 from jaxurban.draw.write import DPI, Look
 from jaxurban.errors import InputError
+from jaxurban.pictures import Form
 
 SMALL_PT, TEXT_PT, HEADING_PT = 7.0, 8.0, 10.0  # of tick labels and notes; of titles
 # One column and two of a journal, by the IEEE Author Center's "Size Requirements for Graphics".
 WIDTHS_MM = {"column": 88.9, "page": 182.0}
 LEAST_MM, MOST_MM = 60.0, 1000.0  # the narrowest on which text can be read, and a poster
 MM_PER_IN = 25.4
-Width = Literal["column", "page"] | float
+Width = str | float  # a name of `WIDTHS_MM`, or millimetres
+Drawing = TypeVar("Drawing", bound=Callable)
 INK, FAINT_INK = "#1a1a1a", "#555555"
 HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.2, 0.13, 18.0  # of a line of a heading, of SMALL_PT
 # Of several series that are no metrics, whose colours these avoid; dark and light ones by turns.
@@ -114,6 +117,11 @@ class Picture(Figure):
         super().savefig(fname, **options)
 
 
+def drawing(draw: Drawing) -> Drawing:
+    """Return a public function that draws: in the look of our figures, and its arguments are checked (`typed`)."""
+    return typed(styled(draw))
+
+
 def inches(width: Width) -> float:
     """Return the width of a figure in inches.
 
@@ -152,25 +160,26 @@ def wrapped(text: str, width_in: float, size_pt: float = SMALL_PT) -> str:
     return "\n".join(lines).replace(FIXED_SPACE, " ").replace("  ·\n", "\n")
 
 
-def chart(
-    height_in: float, heading: str, note: str = "", width: Width = "page", ax: Axes | None = None
-) -> Any:
+def chart(height_in: float, heading: str, note: str = "", **form: Unpack[Form]) -> Any:
     """Return an empty figure with a heading above and a note below, whose parts Matplotlib's layout places.
 
     Args:
       height_in: inches between heading and note; the figure is higher by both.
-      heading: its first lines, bold; broken where they are too long.
+      heading: its first lines, bold, unless the form has a title; broken where they are too long.
       note: the lines below, broken likewise; without any text nothing is written there.
-      width: ``"column"``, ``"page"``, or millimetres.
-      ax: a cell of another figure, in place of which a part of that figure is returned.
+      form: where the figure stands; with axes a part of their figure is returned.
 
     Raises:
       InputError: an invalid width (see `inches`), or axes that are no cell of a grid.
     """
-    width_in = inches(width) if ax is None else width_of(ax)
+    width_in = width_in_of(form)
+    title = form.get("title")
+    if title is not None:
+        heading = title
     head = wrapped(heading, width_in, BOLD * HEADING_PT)
     foot = wrapped(note, width_in)
     height_in += HEAD_IN * len(head.splitlines()) + LINE_IN * len(foot.splitlines())
+    ax = form.get("ax")
     if ax is None:
         layout = ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.06)
         figure = Picture(figsize=(width_in, height_in), layout=layout, facecolor="white")
@@ -183,14 +192,35 @@ def chart(
     return figure
 
 
-def _in_place_of(ax: Axes) -> Any:
-    """Return a part of a figure, in place of a cell of it; InputError of axes that are no cell."""
-    cell = ax.get_subplotspec()
-    if cell is None:
+def width_in_of(form: Form) -> float:
+    """Return the width of a picture in inches: that of its form, or of the cell that it fills.
+
+    Raises:
+      InputError: an invalid width (see `inches`), or axes that are no cell of a grid.
+    """
+    ax = form.get("ax")
+    if ax is None:
+        return inches(form.get("width", "page"))
+    if not isinstance(ax, Axes) or ax.get_subplotspec() is None:
         raise InputError("ax must be a cell of a grid of axes, as matplotlib's subplots has them")
+    return width_of(ax)
+
+
+def _in_place_of(ax: Axes) -> Any:
+    """Return a part of a figure, in place of a cell of it; the figure places its parts by a layout from now on."""
+    whole: Any = ax.get_figure(root=True)
+    if whole.get_layout_engine() is None:
+        whole.set_layout_engine("constrained")
+    cell: Any = ax.get_subplotspec()
     part = ax.figure.add_subfigure(cell)
     ax.remove()
     return part
+
+
+def grow(figure: Any, by_in: float) -> None:
+    """Make a figure higher by some inches; a part of another figure keeps its height."""
+    if isinstance(figure, Figure):
+        figure.set_figheight(figure.get_figheight() + by_in)
 
 
 def bare(figure: Figure) -> Figure:
@@ -200,12 +230,20 @@ def bare(figure: Figure) -> Figure:
 
     Args:
       figure: from any ``plot_*`` function.
+
+    Returns:
+      The figure.
+
+    Examples:
+      >>> figure = ju.plot.bare(maps.plot("gps", 60.0))
+      >>> figure.get_suptitle()
+      ''
     """
     lines_in = HEAD_IN * len(figure.get_suptitle().splitlines())
     lines_in += LINE_IN * len(figure.get_supxlabel().splitlines())
     figure.suptitle("")
     figure.supxlabel("")
-    figure.set_figheight(figure.get_figheight() - lines_in)
+    grow(figure, -lines_in)
     return figure
 
 
@@ -225,7 +263,7 @@ def panels(
     *,
     height_in: float = 2.0,
     shares_y: bool = False,
-    ax: Axes | None = None,
+    **form: Unpack[Form],
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with several panels of equal size, and the axes of the panels in reading order.
 
@@ -234,12 +272,12 @@ def panels(
       heading: see `chart`.
       height_in: height of a panel in inches, about: the layout decides.
       shares_y: whether the panels have one scale, labelled at the left of each row.
-      ax: see `chart`.
+      form: see `chart`.
     """
     # The panels of full rows; those that are too many are removed.
     num_cols = panel_columns(num)
     num_rows = math.ceil(num / num_cols)
-    figure = chart(num_rows * (height_in + TITLE_IN), heading, ax=ax)
+    figure = chart(num_rows * (height_in + TITLE_IN), heading, **form)
     axes = figure.subplots(num_rows, num_cols, sharey=shares_y, squeeze=False).ravel().tolist()
     for panel in axes[num:]:
         panel.remove()
@@ -318,7 +356,7 @@ def label_apart(panel: Axes, names: Iterable[str], marks: np.ndarray, **look: An
       marks: ``[M, 2]`` where all marks are, in the panel's coordinates.
       look: of the names, as Matplotlib's keywords.
     """
-    figure: Any = panel.figure
+    figure: Any = panel.get_figure(root=True)
     figure.draw_without_rendering()
     dots_per_pt = figure.dpi / 72
     line = {"arrowstyle": "-", "linewidth": 0.5, "shrinkA": 0}
@@ -442,6 +480,24 @@ class Colours:
     def __call__(self, values: np.ndarray, **options: bool) -> np.ndarray:
         """Return the colours ``[..., 4]`` of values; ``options`` as for matplotlib's colour maps."""
         return colormaps.get_cmap(self.cmap)(self.norm(values), **options)
+
+
+def recoloured(colours: Colours, cmap: Any) -> Colours:
+    """Return colours with another colour map, those of classes unchanged.
+
+    Args:
+      colours: of a map.
+      cmap: a colour map of matplotlib, or its name.
+
+    Raises:
+      InputError: a name that matplotlib does not know.
+    """
+    if isinstance(colours.norm, BoundaryNorm):
+        return colours
+    if not isinstance(cmap, Colormap) and cmap not in colormaps:
+        hint = nearest_name(str(cmap), colormaps)
+        raise InputError(f"cmap must be a colour map of Matplotlib or its name, got {cmap!r}{hint}")
+    return replace(colours, cmap=cmap)
 
 
 def ends_of(values: np.ndarray) -> tuple[float, float]:

@@ -1,32 +1,34 @@
 """The strip of departures: by time, what routes cost above the best time, and how far they fly without a fix."""
 
 import math
+from typing import Unpack
 
 from matplotlib.figure import Figure
 
 from jaxurban.draw.frame import frame_note, joined
 from jaxurban.draw.style import (
     SERIES_COLOURS,
-    Width,
     chart,
+    drawing,
     dress,
     legend_above,
     letter,
-    styled,
 )
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.paths.when import Departures
+from jaxurban.pictures import Form
 
 MOST_TICKS, HEIGHT_IN = 8, 3.0
+MARK_PT = 4.0  # of a hollow mark, over others
 FACTS = "best", "worst", "times without a path"  # of the departures, in the note
-WIDTHS_PT = 3.2, 2.0, *(1.2,) * 5  # of the lines
+WIDTHS_PT = 6.0, 2.5, *(1.2,) * 5  # of the lines, whose marks are as much wider
 LABELS = "cost above best (%)", "no fix (m)"
 FOOT = 0.05  # of the scales, below 0, so that marks there are whole
 LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small effect looks small
 
 
-@styled
-def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") -> Figure:
+@drawing
+def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> Figure:
     """Return the cost above the best time and the length without a fix by time, a line for each time of day.
 
     At hollow marks a route differs from the best time's. A line has a gap where a route has no path. With one time
@@ -35,7 +37,14 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
     Args:
       departures: from `jaxurban.when`.
       maps: that it was planned on, or their folder.
-      width: see `plot_metric`.
+      form: width, ax and title, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> departures = ju.when(maps, [(start, goal)], altitude_m=60.0)
+      >>> ju.plot.plot_when(departures, maps).savefig("when.png")
     """
     table = departures.table.fillna({"time": "", "time_of_day": ""})
     # Columns: the first is along the axis, and each value of the second has a line.
@@ -56,7 +65,7 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
         num = 1
         facts.append("no fix is known to be lost")
     note = f"{joined(*facts)}\n{frame_note(as_maps(maps))}"
-    figure = chart(HEIGHT_IN, "When to fly", note, width)
+    figure = chart(HEIGHT_IN, "When to fly", note, **form)
     ratios = (2, 1)[:num]
     axes = figure.subplots(num, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
 
@@ -72,9 +81,17 @@ def plot_when(departures: Departures, maps: MapsLike, *, width: Width = "page") 
             "o-",
             color=colour,
             linewidth=wide_pt,
+            markersize=MARK_PT + wide_pt,
             label=name or "the best time's route",
         )
-        cost.plot(line["x"][changed], above[changed], "o", color=colour, markerfacecolor="white")
+        cost.plot(
+            line["x"][changed],
+            above[changed],
+            "o",
+            color=colour,
+            markersize=MARK_PT,
+            markerfacecolor="white",
+        )
         for panel in no_fix:
             panel.plot(line["x"], line["no_fix_m"], color=colour, linewidth=wide_pt)
     cost.plot([], [], "ok", markerfacecolor="white", label="another route than at the best time")

@@ -28,7 +28,13 @@ from jaxurban.paths.route_report import TOUCHED
 FOUND_COLOUR, STREET_COLOUR = "#d00000", "#9a9a9a"
 STREETS = ("street", "major")
 NUMBER: Look = frame.HALO | {"color": FOUND_COLOUR, "zorder": 21}  # over the ends of the mission
-FOUND: Look = NUMBER | {"marker": "x", "linestyle": "none", "label": "findings, by number"}
+FOUND: Look = NUMBER | {
+    "marker": "x",
+    "markersize": 9.0,
+    "markeredgewidth": 2.0,
+    "linestyle": "none",
+    "label": "findings, by number",
+}
 MISSION: Look = frame.HALO | {"color": ALTITUDE_COLOUR, "label": "mission", "zorder": 4}
 HOME: Look = frame.END_LOOK | {"marker": "p", "markersize": 14.0, "label": "home"}
 ZONE: Look = {"facecolor": "none", "edgecolor": FOUND_COLOUR, "hatch": "////"}
@@ -40,7 +46,6 @@ LEGEND: tuple[Artist, ...] = (  # in the order of `is_drawn`
     Patch(label="no-fly zone", **ZONE),
     Patch(label="height guessed", color=frame.GUESSED_ROOF_COLOUR),
 )
-MARGIN, LEAST_CELLS = 0.15, 30  # around the mission, of its longer side; from its middle to a side
 GAP_M = 10.0  # between steps, which are shorter: nothing is drawn there
 HEIGHT_IN = 3.4
 
@@ -86,15 +91,7 @@ def plot_mission(result: MissionCheck) -> Figure:
     # The part of the maps around the mission, a square with a margin as far as the maps reach.
     maps = result.maps
     flight = result.flight
-    whole = maps.grid
-    corners_m = flight.lines_m.reshape(-1, 2)
-    cells = ((corners_m - whole.bounds_m[:2]) / whole.resolution_m).astype(int)  # column, row
-    low, high = cells.min(axis=0), cells.max(axis=0)
-    half = max(LEAST_CELLS, int((0.5 + MARGIN) * (high - low).max()))
-    middle = (low + high) // 2
-    west, south = np.minimum(half - middle, 0).tolist()  # how many cells are cut off
-    east, north = np.minimum(middle + half - whole.shape[::-1], 0).tolist()
-    grid = whole.padded(west, south, east, north)
+    grid = frame.surroundings(maps.grid, flight.lines_m.reshape(-1, 2))
 
     # The roofs there, and what the legend names.
     layers = roof_layers(maps)
@@ -103,13 +100,11 @@ def plot_mission(result: MissionCheck) -> Figure:
     if has_guessed:
         is_guessed = maps.m("roof_guessed") & (layers[-1].values > 0)
         layers.append(frame.flat_layer(is_guessed, frame.GUESSED_ROOF_COLOUR))
-    window = grid.window_in(whole)
-    shown = [layer._replace(values=layer.values[window]) for layer in layers]
     found = result.findings
     of_zones = [zone.part_on(grid) for zone in result.zones if zone.state != "open"]
     is_drawn = True, flight.mission.home, True, True, len(found), of_zones, has_guessed
     legend = [*compress(LEGEND, is_drawn)]
-    panel = frame.MapPanel("Roof height (m)", shown)
+    panel = frame.cropped(frame.MapPanel("Roof height (m)", layers), maps.grid, grid)
     heading = frame.joined(flight.mission.name, result.sentence)
     note = frame.frame_note(maps)
     figure, (axes,) = frame.draw_maps(grid, [panel], heading, note, legend=legend, colours=colours)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from jaxurban.io.issues import LEFT_OUT, ReadIssue, ReadIssues, listed_counts, n
 from jaxurban.io.learned import Learned
 from jaxurban.io.sampling import raster_values
 from jaxurban.knowledge import Caution, Guesses, caution_of_guesses
+from jaxurban.pictures import MapForm
 from jaxurban.public import FactsRepr
 from jaxurban.settings import TO_GROUND, Hanging
 from jaxurban.world.blocks import Blocks
@@ -320,8 +321,11 @@ class City(FactsRepr):
         )
         return pixel.take((height_m != 0) & shapely.intersects(self.known_area, place))
 
-    def plot(self) -> "Figure":
+    def plot(self, **form: Unpack[MapForm]) -> "Figure":
         """Return a picture of its heights, and of those that are guessed, before any map is made.
+
+        Args:
+          form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
         Returns:
           A Matplotlib figure, which a notebook shows.
@@ -331,7 +335,7 @@ class City(FactsRepr):
         """
         from jaxurban import plot  # imported here: it brings Matplotlib
 
-        return plot.plot_city(self)
+        return plot.plot_city(self, **form)
 
     @classmethod
     @typed

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -19,6 +19,7 @@ from jaxurban.maps.levels import around, index_of
 from jaxurban.metrics.base import TIME_OF_DAY, UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.variables import stored_name
+from jaxurban.pictures import MapForm
 from jaxurban.progress import LOG
 from jaxurban.public import FactsRepr, listed
 from jaxurban.settings import ObstacleRule, Planning, iso_utc
@@ -481,6 +482,7 @@ class MetricMaps(FactsRepr):
         *,
         time: str | None = None,
         time_of_day: str | None = None,
+        **form: Unpack[MapForm],
     ) -> Figure:
         """Return a picture of one map, or of heights, all metrics and the cost: `jaxurban.plot` has all pictures.
 
@@ -489,25 +491,35 @@ class MetricMaps(FactsRepr):
           altitude_m: one of `altitudes_m`; left out, a panel for each, and in the overview the first.
           time: one of `times`; the first if left out.
           time_of_day: one of `times_of_day`; left out, a panel for each, and in the overview the first.
+          width: ``"column"`` or ``"page"`` of a journal (88.9 or 182 mm), or millimetres; left out, a page.
+          ax: a cell of another Matplotlib figure (``plt.subplots``), in place of which the picture stands; that part of
+            the figure is returned, and ``part.axes`` are its panels.
+          title: in place of the picture's own; empty for none.
+          cmap: a colour map of Matplotlib, or its name, in place of the maps' own colours.
 
         Returns:
           A Matplotlib figure, which a notebook shows.
 
         Raises:
-          InputError: no such map, altitude, time or time of day in these maps.
+          InputError: no such map, altitude, time or time of day in these maps, a width that is none, axes that are no
+            cell of a grid, or a colour map that Matplotlib does not know or that a map of classes cannot have.
 
         Examples:
           >>> maps.plot("gps", 60).savefig("gps.png")
           >>> maps.plot().savefig("overview.png")
+          >>> import matplotlib.pyplot as plt
+          >>> figure, (left, right) = plt.subplots(1, 2, figsize=(10, 5))
+          >>> part = maps.plot("gps", 60, ax=left, cmap="cividis", title="GPS")
+          >>> part = maps.plot("risk", 60, ax=right, title="Risk")
         """
         from jaxurban import plot  # imported here: it brings Matplotlib
 
         if name is None:
             return plot.plot_overview(
-                self, altitude_m=altitude_m, time=time, time_of_day=time_of_day
+                self, altitude_m=altitude_m, time=time, time_of_day=time_of_day, **form
             )
         return plot.plot_metric(
-            self, name, altitude_m=altitude_m, time=time, time_of_day=time_of_day
+            self, name, altitude_m=altitude_m, time=time, time_of_day=time_of_day, **form
         )
 
     @typed

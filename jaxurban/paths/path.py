@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path as FilePath
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from jaxurban.knowledge import Caution, sentences_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps
 from jaxurban.paths.ground import Ground
 from jaxurban.paths.route_report import RouteReport
+from jaxurban.pictures import MapForm
 from jaxurban.planners.base import Path, Status
 from jaxurban.public import FactsRepr
 from jaxurban.settings import MissionEnd
@@ -172,8 +173,11 @@ class PlannedPath(FactsRepr):
         explain = resolve_name("jaxurban.paths.explain:explain")
         return explain(self, maps, **options)
 
-    def plot(self) -> "Figure":
+    def plot(self, **form: Unpack[MapForm]) -> "Figure":
         """Return a picture of the path over the cost of the maps that it was planned on; `jaxurban.plot` draws several.
+
+        Args:
+          form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
         Returns:
           A Matplotlib figure, which a notebook shows.
@@ -190,7 +194,7 @@ class PlannedPath(FactsRepr):
             raise InputError(
                 "the path names no maps to be drawn over: give them, as in ju.plot.plot_paths(maps, [path])"
             )
-        return plot.plot_paths(self.maps, [self])
+        return plot.plot_paths(self.maps, [self], **form)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the points' arrays as plain, JSON-ready values.

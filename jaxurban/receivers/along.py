@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import pandas as pd
@@ -19,6 +19,7 @@ from jaxurban.metrics.gps import FIX, Gps, has_no_fix
 from jaxurban.paths.lines import along_of
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY, Point
+from jaxurban.pictures import Form
 from jaxurban.public import FactsRepr, listed
 from jaxurban.receivers.rule import STATES
 from jaxurban.receivers.sight import Sight, cautions_of, xy_of
@@ -80,6 +81,26 @@ class SkyAt(FactsRepr):
         """
         one_of("time", time, self.times)
         return sky_from(self._sight, self.lonlat, self.altitude_m, time=time)
+
+    def plot(self, time: str | None = None, **form: Unpack[Form]) -> Any:
+        """Return a picture of the sky at a time: the horizon, and which satellites are seen and hidden.
+
+        Args:
+          time: one of its times; the first, if left out.
+          form: width, ax and title, as in `MetricMaps.plot`.
+
+        Returns:
+          A Matplotlib figure, which a notebook shows.
+
+        Raises:
+          InputError: no such time.
+
+        Examples:
+          >>> ju.sky(city, (-73.971, 40.7795), 20.0).plot().savefig("sky.png")
+        """
+        from jaxurban import plot  # imported here: it brings Matplotlib
+
+        return plot.plot_sky(self, time, **form)
 
     @property
     def facts(self) -> dict[str, str]:

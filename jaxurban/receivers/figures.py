@@ -2,7 +2,7 @@
 
 import math
 from itertools import product
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import pandas as pd
@@ -14,13 +14,14 @@ from jaxurban.draw.style import (
     INK,
     MARKERS,
     SERIES_COLOURS,
-    Width,
     chart,
-    inches,
+    drawing,
+    grow,
     label_apart,
     legend_columns,
-    styled,
+    width_in_of,
 )
+from jaxurban.pictures import Form
 from jaxurban.receivers.along import SkyAt
 from jaxurban.receivers.rule import HIDDEN, SEEN, UNKNOWN
 
@@ -36,8 +37,8 @@ LOOKS: dict[str, dict[str, Any]] = {  # of states; the marker is the system's
 MARKS = {SEEN: "", HIDDEN: " ✕", UNKNOWN: " ?"}  # behind a satellite's name
 
 
-@styled
-def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Figure:
+@drawing
+def plot_sky(of: SkyAt, time: str | None = None, **form: Unpack[Form]) -> Figure:
     """Return the sky over a place at a time: north up, the zenith in the middle, the horizon filled.
 
     Each satellite system has a marker and a colour, and each state (seen, hidden, unknown) a look of the marker.
@@ -45,19 +46,27 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
     Args:
       of: from `jaxurban.sky`.
       time: one of its times; the first, if left out.
-      width: see `plot_metric`.
+      form: width, ax and title, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: no such time.
+
+    Examples:
+      >>> here = ju.sky(city, (-73.971, 40.7795), 20.0)
+      >>> ju.plot.plot_sky(here, title="The sky over a street").savefig("sky.png")
     """
     # The figure with its heading and note, which counts what is drawn.
+    width_in = width_in_of(form)
     time = of.times[0] if time is None else time
     if of.times != (time,):
         of = of.at(time)
     lon, lat = of.lonlat
     note = [joined(time_said(time), "exact outlines", of.attribution), *of.cautions]
     heading = f"The sky {of.altitude_m:g} m above ground at {lon:.5f}, {lat:.5f}"
-    figure = chart(SKY * inches(width) + KEY_IN, heading, "\n".join(note), width)
+    figure = chart(SKY * width_in + KEY_IN, heading, "\n".join(note), **form)
     panel: Any = figure.add_subplot(projection="polar")
     draw_horizon(panel, of.horizon_deg)
 
@@ -78,9 +87,9 @@ def plot_sky(of: SkyAt, time: str | None = None, *, width: Width = "page") -> Fi
         label = f"{system.upper()}, {state}{MARKS[state]}".replace("$", r"\$")  # no mathematics
         panel.scatter(*sky_places(rows).T, label=label, **(look | state_look))
     labels = panel.get_legend_handles_labels()[1]
-    num_cols = legend_columns(labels, inches(width))
+    num_cols = legend_columns(labels, width_in)
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=num_cols)
-    figure.set_figheight(figure.get_figheight() + ROW_IN * math.ceil(len(labels) / num_cols))
+    grow(figure, ROW_IN * math.ceil(len(labels) / num_cols))
 
     # Names in short: "05" of "GPS BIIF-9 (PRN 05)".
     states = zip(now["satellite"], now["state"], strict=True)

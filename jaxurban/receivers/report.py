@@ -83,7 +83,7 @@ def plot_track(result: ReceiverValidation) -> Figure:
     note = f"Agreement: in view and {strong}, or hidden and weaker. By chance it would be half."
     wide_m, tall_m = np.ptp(track_m, axis=0) + AROUND_M
     width_mm = 32 + 88 * np.clip(wide_m / tall_m, 0.6, 1.6)  # of the bar and labels; of the panel
-    figure = chart(4.2, "Where maps and receiver agree", note, width_mm)
+    figure = chart(4.2, "Where maps and receiver agree", note, width=width_mm)
     panel = figure.subplots()
     dress(panel)
     panel.plot(x_m, y_m, color=FAINT_INK, linewidth=0.6, zorder=0)

@@ -1,12 +1,13 @@
 """A study as a value: its tables, whose columns have units, and its pictures, which a notebook shows."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.io.results import Result
+from jaxurban.pictures import MapForm
 
 SHARES = (
     *("share", "changes", "regret", "regret_alone", "more_cost", "overlap"),
@@ -31,12 +32,12 @@ class StudyResult(Result):
         tables = self.report.tables
         return with_units({Path(name).stem: table for name, table in tables.items()})
 
-    def plot(self, name: str, ax: Any = None) -> Any:
+    def plot(self, name: str, **form: Unpack[MapForm]) -> Any:
         """Return a picture of the report, which a notebook shows.
 
         Args:
           name: of the picture, as in the folder ``figures``.
-          ax: a cell of another Matplotlib figure, which the picture fills.
+          form: width, ax, title and, of maps, cmap, as in `MetricMaps.plot`.
 
         Returns:
           A Matplotlib figure, or the part of one.
@@ -48,7 +49,7 @@ class StudyResult(Result):
         if name not in figures:
             drawn = ", ".join(figures) or "none"
             raise InputError(f"the study has no picture {name!r}: name one of its own ({drawn})")
-        return figures[name](ax=ax)
+        return figures[name](**form)
 
 
 def with_units(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:

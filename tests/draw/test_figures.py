@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -20,17 +21,21 @@ from PIL import Image
 
 import jaxurban as ju
 from jaxurban import plot as plotting
-from jaxurban.draw.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer
+from jaxurban.draw.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer, surroundings
 from jaxurban.draw.metrics import obstacle_patches, precise_percent
 from jaxurban.draw.paths import (
+    EDGED,
     LINE_PT,
+    ON_A_GRID,
+    PALE,
     PLANNER_COLOURS,
     WIDEST_PT,
     CostChoice,
     closed_at,
+    colours_of_cost,
     maps_figures,
 )
-from jaxurban.draw.style import chart, wrapped
+from jaxurban.draw.style import bar_ticks, chart, wrapped
 from jaxurban.draw.write import DPI, write_picture
 from jaxurban.errors import InputError
 from jaxurban.knowledge import Guess, GuessKind
@@ -38,7 +43,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import FREE_COLOUR, GROUP_COLOURS
 from jaxurban.paths.path import PlannedPath
-from jaxurban.planners.base import Status
+from jaxurban.planners.base import EVERY_PATH, Status
 from jaxurban.world.kinds import EFFECTS, GROUPS
 from tests.guess_records import NOMINAL, attribute, heights
 from tests.made_maps import made_maps, maps_of_kinds
@@ -129,8 +134,13 @@ def titles_of(figure) -> list[str]:
 
 
 def lines_of(panel) -> list[np.ndarray]:
-    """Return the lines of routes, which lie over their white edges."""
-    return panel.collections[-1].get_segments()
+    """Return the lines of routes, the widest first."""
+    return [line.get_segments()[0] for line in routes_of(panel)]
+
+
+def routes_of(panel) -> list:
+    """Return what draws the routes of a panel, the widest first."""
+    return [line for line in panel.collections if line.get_gid() == EDGED]
 
 
 def colours_of(name: str, values) -> list[str]:
@@ -192,7 +202,7 @@ def test_pictures_say_what_they_show():
             plotting.plot_overview(maps, (), altitude_m=60.0),
             ("Metric maps, 60 m above ground", f"{near}\n"),
         ),
-        (plotting.plot_overview(maps, ()), ("(0: best free cell, 1: worst)\n",)),
+        (plotting.plot_overview(maps, ()), ("(0: best free cell, 1: worst,\n",)),
         (plotting.plot_metric(maps, "risk"), (near,)),
         (plotting.plot_metric(maps, "num_visible"), ("median 7\n",)),
     ):
@@ -249,8 +259,8 @@ def test_classes_people_and_costs_have_the_colours_of_their_values(maps):
         (rating, 0, is_free & (gdop > 8) & (gdop <= 20), to_hex(steps[4])),
         (people, 0, np.s_[:, :10], "#ffffff"),
         (people, 1, np.s_[5:6, 20:21], *colours_of("magma_r", [share])),
-        (cost, 0, norm == np.nanmin(norm), "#000000"),
-        (cost, 0, norm == np.nanmax(norm), "#ffffff"),
+        (cost, 0, norm == np.nanmin(norm), to_hex(PALE(0.0))),
+        (cost, 0, norm == np.nanmax(norm), to_hex(PALE.get_over())),
     ]
     for k, z in enumerate(ALTITUDES_M):
         is_gps, is_free = maps.m("gps", z) > maps.m("lidar", z), maps.is_free(z, "centre")
@@ -275,7 +285,7 @@ def test_paths_have_the_papers_colours_and_coinciding_ones_both_show(maps):
     assert titles_of(at_night)[0] == "(a) 20 m"
     assert at_night.get_suptitle().endswith(", night")
     for panel in panels_of(figure):
-        colours = [to_hex(colour) for colour in panel.collections[-1].get_colors()]
+        colours = [to_hex(line.get_color()[0]) for line in routes_of(panel)]
         assert colours == [PLANNER_COLOURS["astar-dist"], PLANNER_COLOURS["astar-plus"]]
         outcomes = panel.get_xlabel().splitlines()[-3:]
         assert outcomes == [
@@ -300,6 +310,99 @@ def test_paths_that_are_cheapest_by_proof_are_one_line(maps):
     dearer = replace(proven[1], cost=2000.0)
     (panel,) = panels_of(plotting.plot_paths(maps, [proven[0], dearer]))
     assert len(lines_of(panel)) == 2
+
+
+def test_a_lone_costly_cell_leaves_the_scale_of_the_cost_to_the_others():
+    cost = np.linspace(0, 0.1, 1000).reshape(20, 50)
+    cost[0, 0], cost[1, 1] = 1.0, np.nan
+    colours = colours_of_cost(cost)
+    low, high = np.nanquantile(cost, [0.02, 0.98])
+    assert (colours.norm.vmin, colours.norm.vmax) == pytest.approx((low, high))
+    assert bar_ticks(colours)[-1] == pytest.approx(high)
+    assert colours.extend == "both"
+    assert "at most 2 % beyond an end" in colours.label
+    flat = colours_of_cost(np.zeros((3, 3)))
+    assert (flat.norm.vmin, flat.norm.vmax) == (0, 1)
+
+
+def test_every_colour_of_the_cost_is_pale_and_costlier_cells_are_darker():
+    luminance = PALE(np.linspace(0, 1, 50))[:, :3] @ (0.2126, 0.7152, 0.0722)
+    assert (np.diff(luminance) < 0).all()
+    assert luminance.min() > 0.5
+
+
+def test_of_maps_much_larger_than_the_routes_their_surroundings_are_drawn(maps):
+    whole = make_path(maps, "astar")
+    near = replace(whole, xy_m=whole.xy_m[1] + 100.0 * np.array([[0, 0], [1, 2], [3, 1]]))
+    large = make_maps(200, 200)
+    panels = {}
+    for name, place, path in (("whole", maps, whole), ("part", large, near)):
+        (panels[name],) = panels_of(plotting.plot_paths(place, path))
+    grid = maps.grid
+    assert panels["whole"].get_xlim() == (grid.x_min_m, grid.x_max_m)
+    west, east = panels["part"].get_xlim()
+    south, north = panels["part"].get_ylim()
+    assert east - west == north - south == 60 * 100.0
+    assert west < near.xy_m[:, 0].min() < near.xy_m[:, 0].max() < east
+    cost = large.normalised(20.0, time_of_day="day")
+    window = surroundings(large.grid, near.xy_m).window_in(large.grid)
+    assert drawn(panels["part"]).shape == cost[window].shape
+
+
+def test_paths_of_a_dictionary_are_called_by_its_keys(maps):
+    path = make_path(maps, "astar")
+    text = texts_of(plotting.plot_paths(maps, {"by day": path, "none": None}))
+    assert "by day: " in text
+    assert "astar" not in text
+    named = plotting.plot_paths(maps, {"by day": path}, names=["mine"])
+    assert "mine: " in texts_of(named)
+
+
+def test_the_cheapest_path_of_a_grid_is_said_to_be_one_of_its_directions(maps):
+    path = make_path(maps, "astar")
+    graphs = {"8-neighbour grid": True, EVERY_PATH: False, "": False}
+    for graph, is_said in graphs.items():
+        best = replace(path, status=Status.OPTIMAL, search=replace(path.search, graph=graph))
+        text = texts_of(plotting.plot_paths(maps, best))
+        assert (ON_A_GRID in text.replace("\n", " ")) == is_said
+        assert ("km (best of the 8-neighbour grid)" in text) == is_said
+    assert ON_A_GRID not in texts_of(plotting.plot_paths(maps, path)).replace("\n", " ")
+
+
+def test_a_picture_fills_a_cell_of_another_figure_under_its_title_and_in_its_colours(maps):
+    whole, (left, right) = plt.subplots(1, 2, figsize=(10, 5))
+    part = plotting.plot_metric(maps, "gps", altitude_m=20.0, ax=left, cmap="cividis", title="Mine")
+    path = plotting.plot_paths(maps, make_path(maps, "astar"), ax=right, title="")
+    assert whole.subfigs == [part, path]
+    assert not whole.axes or left not in whole.axes
+    assert (part.get_suptitle(), path.get_suptitle()) == ("Mine", "")
+    gps = maps.m("gps", 20.0)
+    is_free = maps.is_free(20.0, "centre")
+    colours = drawn(panels_of(part)[0])
+    assert colours[is_free].tolist() == colours_of("cividis", gps[is_free])
+    whole.draw_without_rendering()
+    assert part.bbox.x1 <= path.bbox.x0 + 1
+    plt.close(whole)
+
+
+@pytest.mark.parametrize(
+    ("form", "said"),
+    [
+        ({"ax": plt.Figure().add_axes((0, 0, 1, 1))}, "ax must be a cell of a grid"),
+        ({"ax": [1, 2]}, "ax must be a cell of a grid"),
+        ({"cmap": "viridus"}, r"cmap must be .* \(did you mean 'viridis'"),
+        ({"title": 3}, "title must be a text or None, got 3"),
+        ({"widht": 100}, "did you mean 'width'"),
+    ],
+)
+def test_a_form_that_is_none_is_refused(maps, form, said):
+    with pytest.raises(InputError, match=said):
+        plotting.plot_metric(maps, "gps", altitude_m=20.0, **form)
+
+
+def test_a_map_of_classes_takes_no_other_colours(maps):
+    with pytest.raises(InputError, match="each of its own colour: leave cmap out"):
+        plotting.plot_obstacles(maps, cmap="viridis")
 
 
 @pytest.mark.usefixtures("laid_out")
@@ -460,9 +563,9 @@ def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
     names = [f"a planner of a long name {number}" for number in range(12)]
     paths = [make_path(maps, name) for name in names]
     (panel,) = panels_of(plotting.plot_paths(maps, paths, names=[*PLANNER_COLOURS, *names[6:]]))
-    lines = panel.collections[-1]
-    assert len({to_hex(colour) for colour in lines.get_colors()}) == 12
-    widths_pt = lines.get_linewidths()
+    lines = routes_of(panel)
+    assert len({to_hex(line.get_color()[0]) for line in lines}) == 12
+    widths_pt = [line.get_linewidth()[0] for line in lines]
     assert (np.diff(widths_pt) < 0).all()
     assert (widths_pt[0], widths_pt[-1]) == (WIDEST_PT, LINE_PT)
 
@@ -543,7 +646,8 @@ def test_no_axes_are_empty_and_no_bar_is_wider_than_its_map(maps, width):
         assert axes.images or axes.get_legend() or axes.collections or axes.patches
     for panel in panels_of(figure):
         (bar,) = panel.child_axes
-        assert bar.get_window_extent().width == pytest.approx(panel.get_window_extent().width)
+        room = panel.get_window_extent().width
+        assert 0.9 * room < bar.get_window_extent().width < room + 1e-3  # its open ends lie beyond
 
 
 def test_titles_name_the_time_of_day(maps):

@@ -52,6 +52,17 @@ def opened(folder) -> xr.Dataset:
     return xr.open_zarr(folder / "maps.zarr/20m")
 
 
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")  # of zarr, which xarray writes
+@pytest.mark.parametrize("zarr_format", [2, 3])
+def test_opened_maps_are_written_by_xarray_in_either_format_of_zarr(folder, tmp_path, zarr_format):
+    own = ju.open_maps(folder).ds
+    own.to_zarr(tmp_path / "copy.zarr", zarr_format=zarr_format)
+    with xr.open_zarr(tmp_path / "copy.zarr") as copied:
+        assert {*copied.data_vars} == {*own.data_vars}
+        for name, values in own.data_vars.items():
+            assert np.array_equal(copied[name].values, values.values, equal_nan=True), name
+
+
 def expected(maps: ju.MetricMaps, name: str, **at: int) -> np.ndarray:
     """Return a map as files hold it, rows from the north, NaN where they hold nothing."""
     return maps.ds[name].isel(at).values.astype(np.float64)[..., ::-1, :]

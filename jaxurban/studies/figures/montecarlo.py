@@ -1,19 +1,22 @@
 """The picture of a Monte Carlo benchmark: cost."""
 
+from typing import Unpack
+
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from jaxurban.draw.paths import planner_colours, widths_of
-from jaxurban.draw.style import legend_below, letter_all, panels, step_up, styled
+from jaxurban.draw.style import drawing, legend_below, letter_all, panels, step_up
+from jaxurban.pictures import Form
 
+CURVE = 0.6  # width of a curve by that of a route
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 
 
-@styled
-def plot_costs(table: pd.DataFrame, ax: Axes | None = None) -> Figure:
+@drawing
+def plot_costs(table: pd.DataFrame, **form: Unpack[Form]) -> Figure:
     """Return the share of joined pairs that each planner solved within a ratio of the cheapest path known.
 
     A panel per altitude, a rising curve per planner.
@@ -24,12 +27,12 @@ def plot_costs(table: pd.DataFrame, ax: Axes | None = None) -> Figure:
     """
     colours = planner_colours(sorted(table.planner.unique()))
     heading = "Share of pairs solved within a factor of the cheapest cost known"
-    figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True, ax=ax)
+    figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True, **form)
     end = np.clip(table.ratio.max(), *RATIO_AXIS)
     left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
     for panel, (altitude_m, rows) in zip(axes, table.groupby("altitude_m"), strict=True):
         # Earlier curves are wider, so that all are seen where they coincide.
-        widths_pt = widths_of(len(colours))
+        widths_pt = CURVE * widths_of(len(colours))
         for (planner, colour), width_pt in zip(colours.items(), widths_pt, strict=True):
             ratios = rows.ratio[rows.planner == planner].to_numpy()
             step_up(panel, ratios, end, color=colour, label=planner, linewidth=width_pt)

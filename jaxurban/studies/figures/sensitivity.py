@@ -5,10 +5,10 @@ one.
 """
 
 from itertools import chain
+from typing import Unpack
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -38,18 +38,19 @@ from jaxurban.draw.style import (
     SERIES_COLOURS,
     Colours,
     dots,
+    drawing,
     legend_below,
     name_rows,
     panels,
-    styled,
 )
 from jaxurban.draw.write import Look
+from jaxurban.pictures import Form
 from jaxurban.studies.decided import edge_band, is_at_edge
 from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.summary import ALL
 
 DOTTED = (0, (1, 1))
-MOST_ROUTES = 10  # along the range of one weight
+MOST_ROUTES = 5  # along the range of one weight
 GIVEN_ROUTE: Look = HALO | {  # dark with a white edge, so that it is seen over all colours
     "color": INK,
     "linewidth": 1.2,
@@ -64,12 +65,22 @@ AT_ONCE = "mean, with the interval that holds for all weights at once"
 ALONE: Look = {"color": "#bbbbbb", "linewidth": 4.5, "zorder": 1}  # of a weight's interval alone
 
 
-def plot_breakpoint_routes(route: OneRoute, ax: Axes | None = None) -> Figure:
+@drawing
+def plot_breakpoint_routes(route: OneRoute, **form: Unpack[Form]) -> Figure:
     """Return a map for each varied weight with the routes along its range, coloured by where they are the cheapest.
 
     A route has the colour of the geometric middle of the values at which it is the cheapest, as a multiple of the given
     weight; later routes are thinner, so that earlier ones are seen below them. Of more than `MOST_ROUTES` some are left
     out, evenly. The route under the given weights is dashed, and those along the border of the maps are dotted.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> settings = ju.studies.SensitivitySettings(vary=("gps",))
+      >>> query = {"altitudes_m": [60.0], "settings": settings, "progress": False}
+      >>> result = ju.studies.sensitivity(maps, "one", [(start, goal)], **query)
+      >>> result.plot("switch_routes", title="The weight of GPS").savefig("switch_routes.png")
     """
     low, high = route.factors
 
@@ -92,7 +103,7 @@ def plot_breakpoint_routes(route: OneRoute, ax: Axes | None = None) -> Figure:
         title = f"{name}, {len(_shown(num))} of {num} routes"
         panels_of.append(MapPanel(title, layers, is_closed=is_closed))
     heading = joined("Cheapest routes along the range of each weight", day, by=", ")
-    facts = joined(f"{z:g} m above ground", "grey: normalised cost, black: lowest")
+    facts = joined(f"{z:g} m above ground", "ground: normalised cost, the darker the higher")
     note = "\n".join([facts, frame_note(maps, settings["time"]), rules_said(settings)])
     legend = obstacle_patches(maps, BLOCKED_COLOUR, panels_of)
     legend += [Line2D([], [], label="given weights", **GIVEN_ROUTE), *ENDS]
@@ -106,7 +117,7 @@ def plot_breakpoint_routes(route: OneRoute, ax: Axes | None = None) -> Figure:
         label = "along the border of the maps"
         legend.append(Line2D([], [], label=label, color=INK, linestyle=DOTTED))
     figure, axes = draw_maps(
-        maps.grid, panels_of, heading, note, legend=legend, colours=colours, ax=ax
+        maps.grid, panels_of, heading, note, legend=legend, colours=colours, **form
     )
 
     for panel, name in zip(axes, route.lines, strict=True):
@@ -129,8 +140,8 @@ def _shown(num: int) -> np.ndarray:
     return np.unique(np.linspace(0, num - 1, min(num, MOST_ROUTES)).astype(int))
 
 
-@styled
-def plot_regret(summary: pd.DataFrame, wrong: float, ax: Axes | None = None) -> Figure:
+@drawing
+def plot_regret(summary: pd.DataFrame, wrong: float, **form: Unpack[Form]) -> Figure:
     """Return how much more a route costs that was planned under one wrong weight: a row per weight, a dot per city.
 
     Args:
@@ -139,13 +150,21 @@ def plot_regret(summary: pd.DataFrame, wrong: float, ax: Axes | None = None) -> 
         share of the cost, with intervals that hold for all weights at once, and ``regret_alone`` has that of each
         weight alone, a grey bar behind.
       wrong: by which factor the weight is wrong, in both directions.
+      form: width, ax and title, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> result = ju.studies.sensitivity(maps, "many", 12, progress=False)
+      >>> result.plot("regret", width="column").savefig("regret.pdf")
     """
     weights = summary.weight_name[summary.regret.notna()].unique().tolist()
     is_city = summary.cut == "city"
     by_city = summary[is_city if is_city.any() else summary.cut == ALL]
     cities = by_city.value.unique()
     heading = f"How much more routes cost with one weight {wrong:g} times too large or too small"
-    figure, (panel,) = panels(1, heading, height_in=ROW_IN * len(weights), ax=ax)
+    figure, (panel,) = panels(1, heading, height_in=ROW_IN * len(weights), **form)
     for number, city in enumerate(cities):
         rows = by_city[by_city.value == city].set_index("weight_name").reindex(weights)
 

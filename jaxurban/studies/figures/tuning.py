@@ -1,10 +1,10 @@
 """Pictures of fitted weights: how sure they are, and what routes they lead to."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Unpack
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from jaxurban.draw.frame import (
@@ -19,22 +19,30 @@ from jaxurban.draw.frame import (
     rules_said,
 )
 from jaxurban.draw.metrics import line_colour, obstacle_layer, obstacle_patches
-from jaxurban.draw.paths import draw_lines
-from jaxurban.draw.style import Colours, dots, name_rows, panels, show_plain_log, styled
+from jaxurban.draw.paths import colours_of_cost, draw_lines
+from jaxurban.draw.style import dots, drawing, name_rows, panels, show_plain_log
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.pictures import Form, MapForm
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
-DEMONSTRATION_COLOUR, PLANNED_COLOUR = "#f08a24", "#0b3c8c"
-PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes stand out
+DEMONSTRATION_COLOUR, PLANNED_COLOUR = "#009e73", "#0b3c8c"
 
 
-@styled
-def plot_weights(fit: WeightFit, ax: Axes | None = None) -> Figure:
+@drawing
+def plot_weights(fit: WeightFit, **form: Unpack[Form]) -> Figure:
     """Return each fitted weight as a dot with its interval, on a logarithmic scale.
 
     A weight of 0 is a triangle at the upper end of its interval, and nothing where this is 0 too, as where the routes
     do not identify it; a dot without an interval is hollow.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> shown = ju.fit.demonstrations([path], maps)
+      >>> fit = ju.fit.fit_weights(shown, bootstrap=0)
+      >>> ju.plot.plot_weights(fit).savefig("weights.png")
     """
     # A row per weight, with the ends of its interval named as `dots` expects them; NaN where there is no dot.
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
@@ -42,27 +50,28 @@ def plot_weights(fit: WeightFit, ax: Axes | None = None) -> Figure:
     drawn = table.weight.mask(is_0, table.weight_high)
     table["weight"] = drawn.where(drawn > 0)
     heading = "Fitted weights and their intervals"
-    figure, (panel,) = panels(1, heading, height_in=0.3 * len(table), ax=ax)
+    figure, (panel,) = panels(1, heading, height_in=0.3 * len(table), **form)
     for place, name in enumerate(table.index):
         marker = "<" if is_0[name] else "o"
         row = table.loc[[name]]
         dots(panel, np.array([place]), row, "weight", color=line_colour(name), marker=marker)
     panel.set(
         xscale="log",
-        xlabel="weight, of a sum of 1 (triangle: at most; bars that leave the axis reach 0)",
+        xlabel="weight, of a sum of 1\n(triangle: at most; bars\nthat leave the axis reach 0)",
     )
     show_plain_log(panel.xaxis)
     name_rows(panel, (table.index + ", " + table.unit).to_list())
     return figure
 
 
+@drawing
 def plot_fitted_routes(
     demonstrations: Sequence[Demonstration],
     planned: Sequence[Demonstration],
     cost_map: CostMap,
     weights: np.ndarray,
     given: str = "demonstration",
-    ax: Axes | None = None,
+    **form: Unpack[MapForm],
 ) -> Figure:
     """Return a map of the cost under weights with the demonstrations on it and the routes that the weights lead to.
 
@@ -72,7 +81,18 @@ def plot_fitted_routes(
       cost_map: one of their maps; only those on it are drawn.
       weights: ``[K]`` distance and the map's metrics.
       given: what the demonstrations are called: a fit to targets takes only their ends.
-      ax: a cell of another figure, which the picture fills.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
+
+    Examples:
+      >>> shown = ju.fit.demonstrations([path], maps)
+      >>> fit = ju.fit.fit_weights(shown, bootstrap=0)
+      >>> fitted = ju.plan(maps, start, goal, altitude_m=60.0, weights=fit.weights)
+      >>> found = ju.fit.demonstrations([fitted], maps)
+      >>> figure = ju.plot.plot_fitted_routes(shown, found, shown[0].query.cost_map, fit.weights.vector(fit.names))
+      >>> figure.savefig("routes.png")
     """
     # What the picture says of the map and of the weights.
     grid = cost_map.grid
@@ -82,14 +102,10 @@ def plot_fitted_routes(
     settings = cost_map.record | {"weights": fitted}
     note = f"{frame_note(maps, cost_map.time)}\n{rules_said(settings)}"
 
-    # [Y, X] the cost of each cell under the weights. The scale goes on beyond the costs of 99 % of the free cells, by
-    # the factor `PALE`, so that routes stand out from pale cells.
+    # [Y, X] the cost of each cell under the weights, NaN where no route goes.
     cost = np.tensordot(weights[1:], cost_map.costs, axes=1)
-    free = cost[cost_map.is_free]
-    least = float(free.min())
-    most = float(np.percentile(free, 99))
-    norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
-    colours = Colours("gray_r", norm, "cost of a cell\nunder the weights", extend="max")
+    free = np.where(cost_map.is_free, cost, np.nan)
+    colours = replace(colours_of_cost(free), label="cost of a cell\nunder the weights")
     obstacles = obstacle_layer(maps, cost_map.altitude_m, BLOCKED_COLOUR)
     has_data = maps.ds["has_data"].values
     is_closed = ~cost_map.is_free & (obstacles.values < 0) & has_data
@@ -108,7 +124,7 @@ def plot_fitted_routes(
             *ENDS,
         ],
         colours=colours,
-        ax=ax,
+        **form,
     )
 
     # A demonstration and, thinner, the route between its ends. Their points are in metres from the southwest corner of

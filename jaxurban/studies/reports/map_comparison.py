@@ -1,10 +1,10 @@
 """report.md of a comparison of maps, with its tables, and figures of differences, each on one scale around zero."""
 
 from functools import partial
+from typing import Unpack
 from zlib import crc32
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxurban.draw.frame import (
@@ -17,13 +17,15 @@ from jaxurban.draw.frame import (
     joined,
     time_said,
 )
-from jaxurban.draw.style import difference_colours
+from jaxurban.draw.style import difference_colours, drawing
 from jaxurban.draw.write import Markdown, ResultReport, bullets, plain
 from jaxurban.metrics.base import TIME
+from jaxurban.pictures import MapForm
 from jaxurban.studies.map_comparison import MapComparison
 
 
-def plot_difference(result: MapComparison, layer: str, ax: Axes | None = None) -> Figure:
+@drawing
+def plot_difference(result: MapComparison, layer: str, **form: Unpack[MapForm]) -> Figure:
     """Return panels of B - A of a layer by altitude or time of day, at the first time, on one scale centred at 0.
 
     Cells that are blocked in either are grey; colours reach as far as 99 % of the changed cells.
@@ -31,10 +33,18 @@ def plot_difference(result: MapComparison, layer: str, ax: Axes | None = None) -
     Args:
       result: the comparison.
       layer: one of its layers.
-      ax: a cell of another figure, which the picture fills.
+      form: width, ax, title and cmap, as in `MetricMaps.plot`.
+
+    Returns:
+      A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
       InputError: a layer that is not compared.
+
+    Examples:
+      >>> other = ju.build_maps(city, grid=maps.grid, altitudes_m=maps.altitudes_m, gps=ju.Gps(mask_deg=20.0))
+      >>> result = ju.studies.compare(maps, other, progress=False)
+      >>> ju.plot.plot_difference(result, "gps", title="A mask of 20 degrees").savefig("difference.png")
     """
     change = result.difference(layer)
     rows = result.table[result.table.layer == layer]
@@ -70,7 +80,9 @@ def plot_difference(result: MapComparison, layer: str, ax: Axes | None = None) -
     heading = f"{change.attrs.get('long_name', layer)}, B - A"
     legend = [("blocked in A or B", OBSTACLE_COLOUR)]
     note = "\n".join(notes)
-    return draw_maps(result.a.grid, panels, heading, note, legend=legend, colours=colours, ax=ax)[0]
+    return draw_maps(result.a.grid, panels, heading, note, legend=legend, colours=colours, **form)[
+        0
+    ]
 
 
 def comparison_report(result: MapComparison) -> ResultReport:

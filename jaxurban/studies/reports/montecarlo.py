@@ -1,15 +1,16 @@
 """report.md of a Monte Carlo benchmark of planners, with its tables and figures."""
 
 from functools import partial
+from typing import Unpack
 
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxurban.draw.paths import plot_paths
 from jaxurban.draw.write import Figures, ResultReport, joined_with_and
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
+from jaxurban.pictures import MapForm
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.decided import FEWEST_RUNS
 from jaxurban.studies.figures.montecarlo import plot_costs
@@ -23,13 +24,13 @@ COUNTS = {"success": "joined", "times": "runs", "objectives": "pairs"}
 NUM_DRAWN = 4  # routes of a picture
 
 
-def border_figure(result: BenchmarkResult, pinned: pd.DataFrame, ax: Axes | None = None) -> Figure:
+def border_figure(result: BenchmarkResult, pinned: pd.DataFrame, **form: Unpack[MapForm]) -> Figure:
     """Return the cheapest grid routes of the first `NUM_DRAWN` pairs of places at the lowest altitude.
 
     Args:
       result: of the study.
       pinned: rows whose paths come near the border.
-      ax: a cell of another figure, which the picture fills.
+      form: see `MetricMaps.plot`.
     """
     drawn = pinned[pinned.altitude_m == pinned.altitude_m.min()].head(NUM_DRAWN)
     rules = result.settings
@@ -44,7 +45,7 @@ def border_figure(result: BenchmarkResult, pinned: pd.DataFrame, ax: Axes | None
         progress=False,
     )
     names = [f"instance {each}" for each in drawn.instance]
-    return plot_paths(result.maps, paths, names=names, ax=ax)
+    return plot_paths(result.maps, paths, names=names, **form)
 
 
 def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:

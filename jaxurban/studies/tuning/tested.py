@@ -190,8 +190,8 @@ def wish_verdicts(
         wished = [target.outcome for target in targets]
         for outcome, row in zip([*wished, *tested["what"][len(targets) :]], rows, strict=True):
             label = outcome_label(outcome)
-            change = (row[name] for name in interval_columns("change"))
-            if outcome in wished and runs_needed(*change, row["n"]):
+            size, low, high = (row[name] for name in interval_columns("change"))
+            if outcome in wished and runs_needed(size, low, high, row["n"]):
                 continue  # whether the target holds is what is open
             needed = 0.0 if outcome in wished else row["needed"]
             kind = WishVerdict.UNSEEN if needed else WishVerdict.COSTS
@@ -201,7 +201,7 @@ def wish_verdicts(
 
 
 def _wish_verdict(
-    kind: WishVerdict, label: str, row: Mapping[str, Any], name: str, needed: float
+    kind: WishVerdict, label: str, row: Mapping[Any, Any], name: str, needed: float
 ) -> Verdict:
     """Return what is decided of an outcome, by its row of `tested_outcomes`.
 
@@ -212,9 +212,9 @@ def _wish_verdict(
       name: of the columns of its size and interval.
       needed: further pairs of ends that would decide it.
     """
-    interval = (row[column] for column in interval_columns(name))
+    size, low, high = (row[column] for column in interval_columns(name))
     facts = {"largest": row["largest"]}
-    return Verdict(kind, (label,), *interval, row["n"], row["unit"], PAIRS, needed, facts)
+    return Verdict(kind, (label,), size, low, high, row["n"], row["unit"], PAIRS, needed, facts)
 
 
 def _kind_of(is_met: bool, needed: float, is_kept: bool) -> WishVerdict:
