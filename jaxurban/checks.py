@@ -26,7 +26,8 @@ from typing import (
 )
 
 from jaxurban.errors import InputError, platform_remedy
-from jaxurban.public import alike, find_public, near
+from jaxurban.public import find_public
+from jaxurban.spelling import alike, near
 
 Choice = TypeVar("Choice")
 Public = TypeVar("Public", bound=Callable)

@@ -11,6 +11,8 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Literal
 
+from jaxurban.spelling import near
+
 MOST_SAID = 300  # characters of what a library says that a message passes on
 MOST_OF_END = 1000  # characters of a message at its begin and at its end: a file may hold a text of any length
 # What Python itself says of files that are not as they should be, by a part of it, and what messages say instead.
@@ -203,8 +205,6 @@ def not_there(path: str | Path, what: str = "") -> str:
       path: of a file or a folder.
       what: its name in the message; left out, the path.
     """
-    from jaxurban.public import near  # imported here: it imports this module
-
     path = Path(path)
     hint = ""
     with suppress(OSError):  # a folder that is not there, or that this user may not list

@@ -5,21 +5,20 @@ that. A stub beside a module says to type checkers, and here, where each of its 
 """
 
 import ast
-import difflib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
 from jaxurban.knowledge import Caution, caution_lines
+from jaxurban.spelling import near
 
 # Modules of the package whose names are public too.
 NAMESPACES = ("fit", "grad", "metrics", "studies")
 PICTURES = "plot"  # the module of all functions that draw
 TYPES = "typing"  # of classes that functions return, which completion leaves out
 Function = TypeVar("Function", bound=Callable)
-LEAST_ALIKE = 0.66  # as two letters of three are
 
 
 def public_names(
@@ -84,32 +83,6 @@ def find_public(name: str) -> Any:
     name, _, method = name.partition(".")
     thing = getattr(import_module(_public_homes()[name]), name)
     return getattr(thing, method) if method else thing
-
-
-def near(name: str, valid: Iterable[str]) -> list[str]:
-    """Return in a list the valid name that a wrong one means: the only one that begins so, else the most like it.
-
-    The list is empty where none is like it (`alike`).
-    """
-    names = list(valid)
-    beginning = [each for each in names if each.startswith(name)]
-    return beginning if len(beginning) == 1 else alike(name, names)
-
-
-def alike(name: str, valid: Iterable[str], least: float = LEAST_ALIKE) -> list[str]:
-    """Return in a list the valid name that is most like a wrong one; the list is empty where none is like it.
-
-    Case does not count, and the first letters must agree: people seldom mistype the first letter of a name.
-
-    Args:
-      name: the wrong one.
-      valid: names to choose from.
-      least: share of letters, about, that must be the same in the same order (``difflib``).
-    """
-    wrong = name.lower()
-    names = {each.lower(): each for each in valid if each[:1].lower() == wrong[:1]}
-    matches = difflib.get_close_matches(wrong, names, n=1, cutoff=least)
-    return [names[match] for match in matches]
 
 
 LEVEL_STYLES = {

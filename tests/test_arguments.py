@@ -611,6 +611,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "seed": 3,
     },
     "explain": {
+        "maps": Same("left out, they are those that the path names"),
         "speed_m_s": 5.0,
         "power_w": Case(90.0, {"speed_m_s": 5.0}),
         "swath_m": 50.0,

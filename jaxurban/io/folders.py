@@ -21,12 +21,11 @@ from jaxurban.io.files import (
     write_json,
     write_whole,
 )
+from jaxurban.io.stored import DONE_FOLDER, ZARR
 from jaxurban.io.workspace import Each, Workspace, is_inside
 
 KEY_FILE = "key.txt"
-ZARR = "zarr"
 ARRAY_FOLDER = "arrays"
-DONE_FOLDER = "done"
 STEP = rf"({ZARR}|[a-z]+_\d+_\d+\w*)"
 OF_STEPS = re.compile(  # what steps write, before they leave their mark too
     rf"{KEY_FILE}|{ZARR}/([^/]+/)?(\.z\w+|\d+(\.\d+)*)|{ARRAY_FOLDER}/{STEP}\.npz|{DONE_FOLDER}/{STEP}\.json"
@@ -196,13 +195,6 @@ class WorkFolder:
             read_json(self._mark(name))
             return True
         return False
-
-    @property
-    def num_tiles(self) -> tuple[int, int]:
-        """How many tiles are finished, and how many there are: none before the Zarr is there."""
-        with suppress(OSError, ValueError, LookupError):  # made by another version, too
-            return len(self._marks("tile_*")), read_json(self._mark(ZARR))["num_tiles"]
-        return 0, 0
 
     def finish(self, target: Path) -> None:
         """Put the assembled maps in their place, and remove the folder.

@@ -402,12 +402,12 @@ class _Maps(BackendEntrypoint):
             mask_and_scale=False,
         )
 
-        # Undo what belongs to the file: its attributes, its encoding (whose compressors of Zarr 2 no Zarr 3 can have,
-        # so that `Dataset.to_zarr` would fail: xarray 10032), and rows from the north.
+        # Undo what belongs to the file: its attributes, its encoding but for the chunks (Zarr 3 lacks the compressors of
+        # Zarr 2, `Dataset.to_zarr` would fail: xarray 10032), and rows from the north.
         missing = {name: array.attrs.get("_FillValue") for name, array in ds.data_vars.items()}
         for variable in ds.variables.values():
             variable.attrs.pop("_FillValue", None)
-            variable.encoding = {}
+            variable.encoding = {"chunks": variable.encoding["chunks"]}
         ds = ds.isel({"y": slice(None, None, -1)}, missing_dims="ignore")
 
         # Maps become lazy; coordinates are read at once.
@@ -415,7 +415,7 @@ class _Maps(BackendEntrypoint):
         for name, array in ds.data_vars.items():
             values = _Map(array.variable, opened, str(name), missing[name])
             lazy = indexing.LazilyIndexedArray(values)
-            maps[name] = xr.Variable(array.dims, lazy, array.attrs)
+            maps[name] = xr.Variable(array.dims, lazy, array.attrs, array.encoding)
         coords = ds.coords.to_dataset().load()  # small, and damage shows at once
         opened.check()
         for name, coord in list(coords.variables.items()):

@@ -2,6 +2,7 @@
 
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,10 @@ from jaxurban.io.workspace import recorded
 RUN_FILE = "run.json"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
+DONE_FOLDER, ZARR = (
+    "done",
+    "zarr",
+)  # of unfinished maps: the marks of steps, and the step that makes the Zarr
 METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
 # Files by which a Zarr is known, of version 3 the last.
 OF_ZARR = (METADATA, ".zattrs", ".zgroup", "zarr.json")
@@ -72,12 +77,22 @@ def stored_maps(folder: Path) -> dict[float, Path]:
     return paths
 
 
+def num_tiles_in(work: Path) -> tuple[int, int]:
+    """Return how many tiles of unfinished maps are there, and how many there will be; none before their Zarr is there.
+
+    Args:
+      work: one of `work_paths`.
+    """
+    done = work / DONE_FOLDER
+    with suppress(OSError, ValueError, LookupError):  # made by another version, too
+        return len([*done.glob("tile_*")]), read_json(done / f"{ZARR}.json")["num_tiles"]
+    return 0, 0
+
+
 def _check_unfinished(folder: Path) -> None:
     """Raise InputError where unfinished maps lie under a folder, with how many of their tiles there are."""
-    from jaxurban.io.folders import WorkFolder  # imported here: it brings xarray
-
-    for path in work_paths(folder):
-        num_done, num_tiles = WorkFolder(path).num_tiles
+    for work in work_paths(folder):
+        num_done, num_tiles = num_tiles_in(work)
         raise InputError(
             f"{str(folder)!r} holds unfinished maps, {num_done} of {num_tiles} tiles: the same `jaxurban maps` command "
             "goes on with them"

@@ -17,11 +17,12 @@ from jaxurban.errors import InputError, speaking
 from jaxurban.io import store, stored
 from jaxurban.io.city import City
 from jaxurban.io.files import RECORDER, check_writable, sweep_scraps
-from jaxurban.io.folders import ZARR, WorkFolder
+from jaxurban.io.folders import WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
 from jaxurban.io.rasterise import bands_of, check_has_data, rasterise
 from jaxurban.io.samples import BASE_MAP_FILE
 from jaxurban.io.store import stored_key
+from jaxurban.io.stored import ZARR
 from jaxurban.io.workspace import Workspace
 from jaxurban.kernels.engine import num_cores
 from jaxurban.knowledge import guesses_to, warn_of
@@ -415,7 +416,7 @@ def make_zarr(
     seconds: defaultdict[str, float] = defaultdict(float)
     num_done = 0
     stage = f"tiles of {stored.short_number(grid.resolution_m)} m"
-    num_kept, num_tiles = work.num_tiles
+    num_kept, num_tiles = stored.num_tiles_in(work.path)
     if num_kept:
         LOG.info(f"resumed, {num_kept} of {num_tiles} {stage}")
     report(stage, num_done, len(tiling.region_tiles))

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxurban.checks import values_given
-from jaxurban.io.folders import ZARR, WorkFolder
+from jaxurban.io.folders import WorkFolder
 from jaxurban.io.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
+from jaxurban.io.stored import ZARR
 from jaxurban.kernels.engine import on_host
 from jaxurban.kernels.shadows.blocks import hand_on
 from jaxurban.kernels.shadows.sweep import Ring

@@ -118,7 +118,9 @@ def cost_map(
     """
     maps, model, limits = rules_on(as_maps(maps), cost_model, constraints, preset)
     of_layers = weights_on(maps, weights)
-    if objective == "weighted" and not any(of_layers.to_dict().values()):
+    climbs = altitude_m if isinstance(altitude_m, Levels) else Levels()
+    is_weighed = any([*of_layers.to_dict().values(), climbs.climb_cost, climbs.descent_cost])
+    if objective == "weighted" and not is_weighed:
         warn(f"{NO_WEIGHT} Give one a weight above 0.")
     rules: dict[str, Any] = {
         "weights": of_layers,

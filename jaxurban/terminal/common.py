@@ -90,11 +90,13 @@ def check_over_maps(
     Raises:
       InputError: the place lies outside.
     """
+    folders = ctx.params.get("folders") or (ctx.params["folder"],)
+    if not Path(folders[0] or "").is_dir():
+        return lonlat  # what opens the maps says it, and nothing heavy is imported before
     from jaxurban.io.glance import glance
     from jaxurban.world.grid import grid_of
 
     grid = None
-    folders = ctx.params.get("folders") or (ctx.params["folder"],)
     with suppress(AttributeError, LookupError, TypeError, ValueError):  # damaged metadata, or None
         grid = grid_of(glance(folders[0]))
     if grid is not None and lonlat is not None:

@@ -118,7 +118,7 @@ def test_a_flight_with_times_needs_no_speed(maps, tmp_path, capsys):
     ("words", "said"),
     [
         ((), "give either --at, a place, or --track, a file"),
-        (("--at=-73.9,40.7",), "--at needs --altitude"),
+        (AT[:1], "--at needs --altitude"),
         ((*AT, "-o", "sky.gif"), "-o must end in .parquet or .csv or .png or .pdf or .svg"),
         (("--track", "t.csv", "--speed", 3), "a table has its own times"),
         (("--track", "no.gpx", "--altitude", 3), "no.gpx"),

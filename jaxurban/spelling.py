@@ -1,0 +1,32 @@
+"""Which name a wrong one means."""
+
+import difflib
+from collections.abc import Iterable
+
+LEAST_ALIKE = 0.66  # as two letters of three are
+
+
+def near(name: str, valid: Iterable[str]) -> list[str]:
+    """Return in a list the valid name that a wrong one means: the only one that begins so, else the most like it.
+
+    The list is empty where none is like it (`alike`).
+    """
+    names = list(valid)
+    beginning = [each for each in names if each.startswith(name)]
+    return beginning if len(beginning) == 1 else alike(name, names)
+
+
+def alike(name: str, valid: Iterable[str], least: float = LEAST_ALIKE) -> list[str]:
+    """Return in a list the valid name that is most like a wrong one; the list is empty where none is like it.
+
+    Case does not count, and the first letters must agree: people seldom mistype the first letter of a name.
+
+    Args:
+      name: the wrong one.
+      valid: names to choose from.
+      least: share of letters, about, that must be the same in the same order (``difflib``).
+    """
+    wrong = name.lower()
+    names = {each.lower(): each for each in valid if each[:1].lower() == wrong[:1]}
+    matches = difflib.get_close_matches(wrong, names, n=1, cutoff=least)
+    return [names[match] for match in matches]
