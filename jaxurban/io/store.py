@@ -402,8 +402,8 @@ class _Maps(BackendEntrypoint):
             mask_and_scale=False,
         )
 
-        # Undo what belongs to the file: its attributes, its encoding but for the chunks (Zarr 3 lacks the compressors of
-        # Zarr 2, `Dataset.to_zarr` would fail: xarray 10032), and rows from the north.
+        # Undo what belongs to the file: its attributes, rows from the north, and its encoding but for the chunks, as
+        # Zarr 3 lacks the compressors of Zarr 2 (`Dataset.to_zarr` would fail: xarray 10032).
         missing = {name: array.attrs.get("_FillValue") for name, array in ds.data_vars.items()}
         for variable in ds.variables.values():
             variable.attrs.pop("_FillValue", None)
