@@ -673,6 +673,7 @@ def _settlements(bounds: np.ndarray) -> np.ndarray:
     """
     centre = (bounds[:, :2] + bounds[:, 2:]) / 2
     bins, bin_of = np.unique(np.floor(centre / GAP_M), axis=0, return_inverse=True)
+    bin_of = bin_of.reshape(-1)  # NumPy 2.0 keeps the axis
     corner = bins * GAP_M
     # Grown by a metre, so that bins that touch at a corner are joined too.
     grown = shapely.box(*(corner - 1.0).T, *(corner + GAP_M + 1.0).T)
