@@ -138,7 +138,14 @@ class Hand:
         self.page.touchscreen.tap(*place)
 
     def tap_on(self, name: str) -> None:
-        self.page.locator(name).tap()
+        """Tap a button, and wait for its click, which comes after the finger, and for what it draws."""
+        button = self.page.locator(name)
+        button.evaluate(
+            "button => { window.clicked = new Promise(done =>"
+            " button.addEventListener('click', () => requestAnimationFrame(() => done()), { once: true })); }"
+        )
+        button.tap()
+        self.page.evaluate("window.clicked")
 
 
 def metres_per_pixel(page) -> float:
