@@ -181,6 +181,7 @@ def fill(
     tables: Mapping[str, pd.DataFrame] | None = None,
     figures: Iterable[str] = (),
     credits: Iterable[str] = (),
+    guessed: Iterable[str] = (),
     **fields: Any,
 ) -> Markdown:
     """Return the text of ``jaxurban/TEMPLATE.md`` with its fields filled, as `str.format` does.
@@ -193,6 +194,7 @@ def fill(
         these, or has no row, is left out.
       figures: names of the pictures that are drawn; the lines of other pictures ``figures/NAME.png`` are left out.
       credits: of the data behind the report; named at its end, each once.
+      guessed: what the maps behind it rest on that no file says (`names_of`); said there too.
       fields: all other fields.
     """
     text = (files("jaxurban") / f"{template}.md").read_text(encoding="utf-8")
@@ -208,11 +210,13 @@ def fill(
     of_others = rf"^!\[[^\n]*\]\(figures/(?!({names})\.png\))[^\n]*$"
     text = re.sub(of_others, "", text, flags=re.MULTILINE)
 
-    # Fill the fields, close the gaps that empty ones leave, and name the credits.
+    # Fill the fields, close the gaps that empty ones leave, and name the guesses and the credits.
     text = _Harmless().format(text.strip(), tables=texts, **fields)
     text = re.sub(r"\n{3,}", "\n\n", text).strip()
-    credit = plain(joined_credits(*credits))
-    return Markdown(f"{text}\n\nData: {credit}\n" if credit else f"{text}\n")
+    guesses = "; ".join(dict.fromkeys(filter(None, guessed)))
+    ends = {"Guessed in the maps": guesses, "Data": joined_credits(*credits)}
+    said = (f"{head}: {plain(each)}" for head, each in ends.items() if each)
+    return Markdown("\n\n".join([text, *said]) + "\n")
 
 
 def table(head: Iterable[str], rows: Iterable[Sequence[Any]]) -> Markdown:

@@ -35,7 +35,7 @@ CELLS = ("y", "x")
 SAME = 1e-6  # values that differ by no more, as on another device, are equal
 COLUMNS = (
     *("layer", "unit", "altitude_m", "time", "time_of_day"),
-    *("cells", "mean", "rms", "higher", "lower", "lost", "gained"),
+    *("cells", "mean_a", "mean", "rms", "higher", "lower", "lost", "gained"),
 )
 USUAL_ROUTES = 40  # at each altitude, from which routes are judged
 
@@ -68,10 +68,11 @@ class MapComparison(StudyResult):
       settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; empty where one
         of them was not made by `jaxurban maps`.
       table: a row per layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
-        hold a number in both, ``mean`` and ``rms`` (root of the mean square) of B - A in the layer's ``unit``,
-        ``higher`` and ``lower``, the cells that are higher, and lower, in B, and ``lost`` and ``gained``, those of them
-        whose value is infinite, as a DOP is without a fix, in B alone, and in A alone, which neither mean nor rms
-        counts. Of ``obstacle`` and of layers without altitudes the cells are all with data in both.
+        hold a number in both, ``mean_a``, the mean of A, and ``mean`` and ``rms`` (root of the mean square) of B - A,
+        where these are finite, in the layer's ``unit``, ``higher`` and ``lower``, the cells that are higher, and lower,
+        in B, and ``lost`` and ``gained``, those of them whose value is infinite, as a DOP is without a fix, in B alone,
+        and in A alone, which neither mean nor rms counts. Of ``obstacle`` and of layers without altitudes the cells are
+        all with data in both.
       routes: a row for each route of A on B (`compared_routes`); empty where none were asked for.
 
     Examples:
@@ -287,7 +288,9 @@ def compare(
 
     with reporting("compare", progress) as report:
         layers = report.over("layers", result.layers)
-        rows = [_statistics(layer, result.difference(layer)) for layer in layers]
+        rows = [
+            _statistics(layer, result.a.ds[layer], result.difference(layer)) for layer in layers
+        ]
         table = pd.concat(rows, ignore_index=True)
         table = table.rename(columns={ALTITUDE: "altitude_m"}).reindex(columns=COLUMNS)
         table["time"] = table["time"].map(iso_utc, na_action="ignore")
@@ -303,18 +306,20 @@ def _opened(maps: MapsLike | MapsFolder) -> MetricMaps:
     return maps.open() if isinstance(maps, MapsFolder) else as_maps(maps)
 
 
-def _statistics(layer: str, change: xr.DataArray) -> pd.DataFrame:
+def _statistics(layer: str, of_a: xr.DataArray, change: xr.DataArray) -> pd.DataFrame:
     """Return a row of statistics for each map of a layer's differences (`MapComparison.table`).
 
     Where no difference is finite, the statistics are NaN.
 
     Args:
       layer: its name.
+      of_a: ``[..., y, x]`` its values in A.
       change: ``[..., y, x]``, NaN where it is not known.
     """
     finite = change.where(np.isfinite(change)).astype(np.float64)
     columns = {
         "cells": change.count(CELLS),
+        "mean_a": of_a.astype(np.float64).where(finite.notnull()).mean(CELLS),
         "mean": finite.mean(CELLS),
         "rms": np.sqrt((finite**2).mean(CELLS)),
         "higher": (change > 0).sum(CELLS),

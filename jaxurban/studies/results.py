@@ -19,6 +19,8 @@ UNITS = {
     **dict.fromkeys((*SHARES, "elasticity", "together"), "share, of 1"),
     **dict.fromkeys(FACTORS, "times the weight"),
     **dict.fromkeys(("size", "solved", "proven", "gap", "cost_change"), "%"),
+    **dict.fromkeys(("cheapest", "above_median", "above_p95", "above_most"), "%"),
+    **dict.fromkeys(("no_way", "blocked", "budget"), "pairs"),
     **dict.fromkeys(("people_below", "more_people_below"), "people"),
 }
 

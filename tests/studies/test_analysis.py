@@ -89,6 +89,28 @@ def test_success_counts_paths_pairs_and_crashes(table):
     assert np.isnan(gaps["long"])
 
 
+def test_success_counts_pairs_without_a_path_by_their_reason(table):
+    found = analysis.success(table).set_index(["planner", "range"])
+    rows = analysis.weighted_rows(table)
+    reasons = {"no_way": "no-path", "blocked": "blocked", "budget": "budget-empty"}
+    for (planner, distance), row in found.iterrows():
+        of_it = rows[(rows.planner == planner) & (rows["range"] == distance)]
+        for name, status in reasons.items():
+            assert row[name] == (of_it.status == status).sum()
+    assert found.loc[LINE].blocked.sum() > 0
+
+
+def test_costs_above_the_cheapest_known_are_quantiles_in_percent(table):
+    found = analysis.costs(table).set_index("planner")
+    more = {CHEAP: 0.0, DEAR: 20.0, LINE: 2.0}
+    for planner, percent in more.items():
+        row = found.loc[planner]
+        assert row.above_median == pytest.approx(percent)
+        assert row.above_most >= row.above_p95 >= row.above_median
+    assert found.cheapest[CHEAP] == 100
+    assert found.cheapest[LINE] < 100
+
+
 def test_times_are_by_planner_and_altitude(table):
     time = analysis.times(table).set_index("planner")
     assert time.loc[CHEAP, "runs"] == 10  # those that found a path

@@ -116,4 +116,16 @@ def test_the_command_reports_routes_and_writes_every_route(maps, tmp_path, capsy
     assert len(json.loads(out)["routes"]) == 2 * 12
     assert len(pd.read_csv(tmp_path / "out/tables/routes.csv")) == 2 * 12
     report = (tmp_path / "out/report.md").read_text()
-    assert "| altitude_m | routes | changed | closed | length_m | apart_m |" in report
+    assert "| altitude_m | routes | changed | closed | regret % | median % | length_m | apart_m |" in report
+
+
+def test_the_report_has_the_regret_of_each_altitude_and_the_rules_of_the_routes(found):
+    table = found.report.fields["tables"]["routes"].set_index("altitude_m")
+    for z_m, each in found.routes.groupby("altitude_m"):
+        row = table.loc[z_m]
+        assert row["regret %"] == pytest.approx(100 * each.regret.mean())
+        assert row["median %"] == pytest.approx(100 * each.regret.median())
+        assert 0 <= row["regret %_low"] <= row["regret %"] <= row["regret %_high"]
+    rules = "cost model: line"
+    assert f"those of A's scenario ({rules}" in found.report.text
+    assert "weights: distance 0.1, gps 1, lidar 1, population 1, risk 1" in found.report.text

@@ -351,7 +351,9 @@ def test_a_wish_asks_for_more_routes_at_once_or_to_hold_out_more_of_them(small):
     assert (tested.filter(like="with_wish_low") >= 0).all(axis=None)
     how = {"is_tested": True, "is_kept": False}
     for frame, is_tested, num in ((tested, False, FEWEST_GROUPS), (tested[:2], True, 0)):
-        verdicts, needed = wish_verdicts(frame, targets, **how | {"is_tested": is_tested})
+        verdicts, needed = wish_verdicts(
+            frame, targets, [True, True], **how | {"is_tested": is_tested}
+        )
         assert len(verdicts) == 2
         assert needed == num
         assert verdicts[0].is_decided == is_tested

@@ -78,10 +78,26 @@ def test_a_weight_next_to_0_is_decided_drawn_and_not_asked_about(blind):
     assert none_asks.decided.next_command.startswith("jaxurban plan")
 
 
+def test_the_pilots_weights_stand_beside_the_fitted_ones_and_intervals_say_whether_they_hold(blind):
+    flown_by = WITHOUT_LIDAR.vector(blind.names)
+    assert blind.table.pilot.to_numpy() == pytest.approx(flown_by / flown_by.sum())
+    is_within = blind.table.pilot.between(blind.table.low - 1e-6, blind.table.high + 1e-6)
+    text = blind.report.text
+    assert ("The interval of each weight contains the pilot's" in text) == is_within.all()
+    risk = blind.table.index == "risk"
+    moved = replace(blind, table=blind.table.assign(low=blind.table.low.mask(risk, 0.9)))
+    assert "The pilot's weight of risk lies outside its interval" in moved.report.text
+    unknown = replace(blind, table=blind.table.assign(pilot=np.nan))
+    assert "the pilot's weight" not in unknown.report.text.lower()
+
+
 def test_no_command_asks_about_what_no_routes_decide(blind):
     constant = Verdict(FitVerdict.CONSTANT, ("risk",), needed=np.inf)
     fit = replace(blind, verdicts=(constant,), tested=Interval(0.0, 0.0, 0.0), num_tested=8)
-    assert fit.decided.verdicts[0].sentence.endswith("under the weights (8 pairs of ends)")
+    # 1 - 0.05^(1 / 8), as 8 of 8 are the cheapest once in 20 times where 31 % are not.
+    assert fit.decided.verdicts[0].sentence.endswith(
+        "is the cheapest under the weights (8 pairs of ends): of all such routes at most 31 % are not"
+    )
     assert not fit.decided.verdicts[-2].is_decided
     assert fit.decided.next_command.startswith("jaxurban plan")
     wide = Verdict(FitVerdict.WIDE, ("lidar",), 0.0, 0.0, 0.5, needed=np.nan)
@@ -156,7 +172,7 @@ def test_a_wish_asks_for_as_many_routes_as_decide_all_that_is_open():
     ends = {f"{name}{end}": 0.0 for name in ("with_wish", "change") for end in ("_low", "_high")}
     tested = pd.DataFrame([columns | ends | row | {"n": 8, "unit": ""} for row in rows])
     targets = [ju.fit.Target.parse("mean_lidar>=0.3")]
-    verdicts, needed = wish_verdicts(tested, targets, is_tested=True, is_kept=False)
+    verdicts, needed = wish_verdicts(tested, targets, [True], is_tested=True, is_kept=False)
     assert [each.noun for each in verdicts] == [PAIRS] * 4
     assert needed == 60
 
@@ -167,8 +183,24 @@ def test_what_a_wish_gains_on_other_routes_is_decided_though_the_target_is_open(
     gain = {"change": 0.019, "change_low": 0.007, "change_high": 0.032}
     targets = [ju.fit.Target.parse("mean_lidar>=0.3")]
     tested = pd.DataFrame([row | wish | gain])
-    target, gained = wish_verdicts(tested, targets, is_tested=True, is_kept=False)[0]
+    target, gained = wish_verdicts(tested, targets, [True], is_tested=True, is_kept=False)[0]
     assert not target.is_decided
     assert "lidar quality changes by 0.019 (0.007 to 0.032)" in gained.sentence.lower()
     for is_tested, is_kept in ((False, False), (True, True)):
-        assert len(wish_verdicts(tested, targets, is_tested=is_tested, is_kept=is_kept)[0]) == 1
+        how = {"is_tested": is_tested, "is_kept": is_kept}
+        assert len(wish_verdicts(tested, targets, [True], **how)[0]) == 1
+
+
+def test_of_a_target_that_the_best_weights_miss_more_routes_are_said_to_change_little():
+    row = {"what": "mean_lidar >= 0.9", "unit": "", "n": 54, "largest": 0.1, "needed": 350.0}
+    wish = {"with_wish": 0.249, "with_wish_low": 0.170, "with_wish_high": 0.328}
+    gain = {"change": 0.019, "change_low": 0.007, "change_high": 0.032}
+    tested = pd.DataFrame([row | wish | gain])
+    targets = [ju.fit.Target.parse("mean_lidar>=0.9")]
+    how = {"is_tested": True, "is_kept": False}
+    near, far = (
+        wish_verdicts(tested, targets, [is_reached], **how)[0][0].sentence
+        for is_reached in (True, False)
+    )
+    assert "hardly change" not in near
+    assert "the best weights miss it, which more routes hardly change" in far

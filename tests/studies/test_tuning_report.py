@@ -60,6 +60,11 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     assert parts[:2] == ["Fitted weights", "Routes under the weights"]
     assert parts[2:] == ["How sure", "How to use the weights", "Files"]
     assert "4 further routes were held out" in report
+    assert "routes.geojson` over the maps in" in report
+    assert ": 12 fitted, 4 held out." in report
+    examples = pd.read_csv(out / "examples.csv")
+    assert examples.is_held_out.sum() == 4
+    assert examples.regret.max() < 1e-3
     assert "interval by bootstrap over 4 pairs of ends" in report
     assert report.count("© a made city") == 1
     for figure in ("weights", "routes_1"):
@@ -112,6 +117,7 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     tested = pd.read_csv(tmp_path / "out" / "tested.csv").set_index("what")
     assert [*tested.index] == ["mean_gps >= 0.999", "detour <= 0.3", "length_m"]
     assert np.all(tested.largest.abs() >= tested.change.abs())
+    assert np.all(tested.largest.abs() >= tested["median"].abs())
     first = facts["decided"]["lines"]["not decided"]  # as so few pairs have no interval
     assert first.startswith("whether mean_gps >= 0.999 holds on other routes is open: ")
     assert "Means over 4 routes, of which the fit saw none" in report

@@ -26,15 +26,16 @@ from jaxurban.pictures import Form, MapForm
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
-DEMONSTRATION_COLOUR, PLANNED_COLOUR = "#009e73", "#0b3c8c"
+DEMONSTRATION_COLOUR, PLANNED_COLOUR, PILOT_COLOUR = "#009e73", "#0b3c8c", "#000000"
 
 
 @drawing
 def plot_weights(fit: WeightFit, **form: Unpack[Form]) -> Figure:
     """Return each fitted weight as a dot with its interval, on a logarithmic scale.
 
-    A weight of 0 is a triangle at the upper end of its interval, and nothing where this is 0 too, as where the routes
-    do not identify it; a dot without an interval is hollow.
+    A weight of 0 is a triangle at the upper end of its interval, or a line there where it is not decided, and nothing
+    where this is 0 too, as where the routes do not identify it; a dot without an interval is hollow. A cross is the
+    weight of the pilot who flew the routes, where it is known.
 
     Returns:
       A Matplotlib figure, or the part of one in place of ``ax``.
@@ -47,18 +48,25 @@ def plot_weights(fit: WeightFit, **form: Unpack[Form]) -> Figure:
     # A row per weight, with the ends of its interval named as `dots` expects them; NaN where there is no dot.
     table = fit.table.rename(columns={"low": "weight_low", "high": "weight_high"})
     is_0 = table.weight == 0
+    is_open = table.index.isin([name for each in fit.verdicts if each.needed for name in each.what])
     drawn = table.weight.mask(is_0, table.weight_high)
     table["weight"] = drawn.where(drawn > 0)
     heading = "Fitted weights and their intervals"
     figure, (panel,) = panels(1, heading, height_in=0.3 * len(table), **form)
     for place, name in enumerate(table.index):
-        marker = "<" if is_0[name] else "o"
+        marker = "o"
+        if is_0[name]:
+            marker = "|" if is_open[place] else "<"
         row = table.loc[[name]]
         dots(panel, np.array([place]), row, "weight", color=line_colour(name), marker=marker)
-    panel.set(
-        xscale="log",
-        xlabel="weight, of a sum of 1\n(triangle: at most; bars\nthat leave the axis reach 0)",
-    )
+    label = "weight, of a sum of 1\n(triangle: at most; bars\nthat leave the axis reach 0"
+    pilot = table.pilot.where(table.pilot > 0)
+    if pilot.notna().any():
+        panel.scatter(pilot, range(len(table)), marker="x", color=PILOT_COLOUR, zorder=3)
+        label += ";\ncross: the pilot's)"
+    else:
+        label += ")"
+    panel.set(xscale="log", xlabel=label)
     show_plain_log(panel.xaxis)
     name_rows(panel, (table.index + ", " + table.unit).to_list())
     return figure

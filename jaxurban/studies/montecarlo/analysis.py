@@ -70,8 +70,10 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
 
     ``pairs``, ``paths``, ``joined`` and ``crashed`` are counts. ``solved`` is the percentage of the pairs that some
     path joins for which the planner found one (NaN if there is none), and ``proven`` that of all pairs with the
-    status optimal. ``gap`` is by how many percent a path may cost more than the cheapest of its planner's graph, on
-    average and by the planner's lower bound: 0 where all are proven.
+    status optimal. ``no_way``, ``blocked`` and ``budget`` count the pairs without a path for their reason: it is proven
+    that there is none, the straight line meets an obstacle, the budget ended. ``gap`` is by how many
+    percent a path may cost more than the cheapest of its planner's graph, on average and by the planner's lower bound:
+    0 where all are proven.
 
     Args:
       table: from `with_instances`; only runs of the weighted objective count.
@@ -81,6 +83,9 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     rows = rows.assign(
         proven=rows.status == Status.OPTIMAL.value,
         has_crashed=rows.status == CRASHED,
+        no_way=rows.status == Status.NO_PATH.value,
+        blocked=rows.status == Status.BLOCKED.value,
+        budget=rows.status == Status.BUDGET_EMPTY.value,
         gap=gap.where(rows.has_path & np.isfinite(gap)),
     )
     grouped = rows.groupby(["planner", "altitude_m", "range"], sort=True)
@@ -90,7 +95,30 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
     result["solved"] = 100 * result.paths / result.joined.where(result.joined > 0)
     result["proven"] = 100 * grouped.proven.mean()
     result["gap"] = 100 * grouped.gap.mean()
-    result["crashed"] = grouped.has_crashed.sum()
+    reasons = grouped[["no_way", "blocked", "budget"]].sum()
+    return result.join(reasons).assign(crashed=grouped.has_crashed.sum()).reset_index()
+
+
+def costs(table: pd.DataFrame) -> pd.DataFrame:
+    """Return by how many percent paths cost more than the cheapest known ones, a row per planner and altitude.
+
+    ``runs`` counts those that found a path; ``cheapest`` is the percentage of them that are the cheapest known;
+    ``above_median``, ``above_p95`` and ``above_most`` are quantiles of what they cost more.
+
+    Args:
+      table: from `with_instances`; only runs of the weighted objective count.
+    """
+    rows = weighted_rows(table)
+    rows = rows[rows.has_path & rows.ratio.notna()]
+    rows = rows.assign(more=100 * (rows.ratio - 1), is_cheapest=np.isclose(rows.ratio, 1.0))
+    grouped = rows.groupby(["planner", "altitude_m"])
+    result = grouped.agg(
+        runs=("more", "size"),
+        above_median=("more", "median"),
+        above_p95=("more", lambda more: more.quantile(0.95)),
+        above_most=("more", "max"),
+    )
+    result.insert(1, "cheapest", 100 * grouped.is_cheapest.mean())
     return result.reset_index()
 
 

@@ -5,6 +5,7 @@ from typing import Unpack
 from zlib import crc32
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from jaxurban.draw.frame import (
@@ -15,12 +16,18 @@ from jaxurban.draw.frame import (
     flat_layer,
     ground_said,
     joined,
+    rules_said,
     time_said,
 )
 from jaxurban.draw.style import difference_colours, drawing
 from jaxurban.draw.write import Markdown, ResultReport, bullets, plain
+from jaxurban.knowledge import names_of
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import TIME
+from jaxurban.paths.plan import cost_map
 from jaxurban.pictures import MapForm
+from jaxurban.statistics.bootstrap import Clusters
+from jaxurban.studies.decided import effects
 from jaxurban.studies.map_comparison import MapComparison
 
 
@@ -85,21 +92,39 @@ def plot_difference(result: MapComparison, layer: str, **form: Unpack[MapForm]) 
     ]
 
 
+def _by_altitude(routes: pd.DataFrame) -> pd.DataFrame:
+    """Return a row per altitude of the routes of a comparison; none where there are no routes."""
+    rows = []
+    for altitude_m, each in routes.groupby("altitude_m") if len(routes) else ():
+        regret = effects(100 * each[["regret"]], Clusters(each.pair), least=0.0).loc["regret"]
+        row = {
+            "altitude_m": altitude_m,
+            "routes": each.pair.count(),
+            "changed": each.is_changed.sum(),
+            "closed": each.is_closed.sum(),
+            "regret %": regret["size"],
+            "regret %_low": regret["low"],
+            "regret %_high": regret["high"],
+            "median %": 100 * each.regret.median(),
+            "length_m": each.length_m.mean(),
+            "apart_m": each.apart_m.max(),
+        }
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _rules_said(maps: MetricMaps) -> str:
+    """Return the weights, the cost model and the constraints of the scenario that maps record."""
+    return rules_said(cost_map(maps, maps.altitudes_m[0]).record)
+
+
 def comparison_report(result: MapComparison) -> ResultReport:
     """Return what a comparison writes."""
     table = result.table
     tables = {"layers": table}
     routes = result.routes
-    of_routes = routes
     if len(routes):
         tables["routes"] = routes
-        of_routes = routes.groupby("altitude_m", as_index=False).agg(
-            routes=("pair", "count"),
-            changed=("is_changed", "sum"),
-            closed=("is_closed", "sum"),
-            length_m=("length_m", "mean"),
-            apart_m=("apart_m", "max"),
-        )
 
     # The layers that differ, and a row for each of their maps, at the first time of those that have times.
     changed = table[table.higher + table.lower > 0].layer.unique().tolist()
@@ -110,10 +135,12 @@ def comparison_report(result: MapComparison) -> ResultReport:
     return ResultReport(
         "studies/templates/compare",
         {
-            "tables": {"values": values.drop(columns="time"), "routes": of_routes},
+            "tables": {"values": values.drop(columns="time"), "routes": _by_altitude(routes)},
             "credits": [result.a.attribution, result.b.attribution],
             "names": result.names,
             "facts": result.a.facts,
+            "guessed": [names_of(result.a.guesses), names_of(result.b.guesses)],
+            "rules": _rules_said(result.a) if len(routes) else "",
             "pairs": routes.pair.nunique() if len(routes) else 0,
             "settings": bullets(settings) or "None that is known.",
             "left_out": ", ".join(result.left_out) or "nothing",

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from jaxurban.draw.paths import plot_paths
 from jaxurban.draw.write import Figures, ResultReport, joined_with_and
+from jaxurban.knowledge import names_of
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
 from jaxurban.pictures import MapForm
@@ -20,7 +21,7 @@ from jaxurban.studies.montecarlo.study import BenchmarkResult
 from jaxurban.studies.reports.sensitivity import weights_said
 
 # The column of each table that counts runs.
-COUNTS = {"success": "joined", "times": "runs", "objectives": "pairs"}
+COUNTS = {"success": "joined", "costs": "runs", "times": "runs", "objectives": "pairs"}
 NUM_DRAWN = 4  # routes of a picture
 
 
@@ -53,6 +54,7 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
     table = result.table
     tables = {
         "success": analysis.success(table),
+        "costs": analysis.costs(table),
         "times": analysis.times(table),
         "objectives": analysis.objectives(table),
     }
@@ -92,6 +94,7 @@ def benchmark_report(result: BenchmarkResult) -> ResultReport:
     fields = {
         "tables": shown,
         "credits": [result.maps.attribution],
+        "guessed": [names_of(result.maps.guesses)],
         "num_instances": table.instance.nunique(),
         "num_runs": len(table),
         "num_all_solve": weighted.groupby(KEY).has_path.all().groupby("instance").any().sum(),

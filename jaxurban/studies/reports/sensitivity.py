@@ -19,6 +19,7 @@ from jaxurban.draw.write import (
     framed,
     joined_with_and,
 )
+from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX
@@ -207,6 +208,7 @@ def sensitivity_report(result: Sensitivity) -> ResultReport:
     fields = {
         "tables": {"cities": _cities(result), **shown_tables(tables)},
         "credits": [maps.attribution for maps in result.maps.values()],
+        "guessed": [names_of(maps.guesses) for maps in result.maps.values()],
         "lost": framed(reasons) if len(reasons) else "",
         "skipped": bullets(skipped),
         "route": _route_said(result.route),

@@ -19,18 +19,24 @@ from jaxurban.draw.write import (
     code,
     files_of,
     fill,
+    joined_with_and,
     paragraphs,
     save,
 )
 from jaxurban.errors import InputError
 from jaxurban.io.tables import SUFFIXES, fingerprint
 from jaxurban.io.workspace import Workspace
+from jaxurban.knowledge import names_of
 from jaxurban.metrics.weights import Weights, check_held
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import reporting
 from jaxurban.statistics.conclusions import VERDICTS
-from jaxurban.studies.demonstrations import Demonstration, compared_demonstrations
+from jaxurban.studies.demonstrations import (
+    Demonstration,
+    compared_demonstrations,
+    optimal_demonstrations,
+)
 from jaxurban.studies.figures.tuning import plot_fitted_routes, plot_weights
 from jaxurban.studies.montecarlo.sampling import sample_instances
 from jaxurban.studies.queries import command_to_plan, maps_of, weights_option
@@ -43,6 +49,7 @@ from jaxurban.studies.tuning.weight_fit import WeightFit, fit_weights
 
 TABLES = ("learning_curve", "weights", "examples", "targets", "tested")
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
+ROUNDING = 1e-6  # of weights that sum to 1
 
 
 @dataclass(frozen=True)
@@ -99,7 +106,7 @@ def run_tuning(
 
     with reporting("tune") as report:
         report("routes")
-        of_cities = (_routes_on(source, files, settings) for source, files in sources.items())
+        of_cities = [_routes_on(source, files, settings) for source, files in sources.items()]
         routes = list(chain.from_iterable(of_cities))
 
         # The output folder, what identifies the fit there, and the files that it may write.
@@ -129,18 +136,32 @@ def run_tuning(
 
             # All files, with the routes under the fitted weights.
             report("figures and report")
-            origins = [_origin(source, files, settings) for source, files in sources.items()]
+            nums = map(len, of_cities)
+            origins = [
+                _origin(source, files, settings, num)
+                for (source, files), num in zip(sources.items(), nums, strict=True)
+            ]
             fit = replace(fit, commands=settings.commands, origin=Markdown("; ".join(origins)))
             save(folder, fit_report(fit).outputs)
     return _facts(fit, folder)
 
 
-def _origin(source: MapsFolder, files: Sequence[Path], settings: TuneSettings) -> str:
-    """Return what the report says of the routes on the maps of a folder: their files, or how they were sampled."""
+def _origin(source: MapsFolder, files: Sequence[Path], settings: TuneSettings, num: int) -> str:
+    """Return what the report says of the routes on the maps of a folder: their files, or how they were sampled.
+
+    Args:
+      source: the folder.
+      files: of the routes; none where instances are sampled.
+      settings: of the fit.
+      num: of the routes that are of use.
+    """
     routes = f"{settings.sample} instances sampled with seed {settings.fit.seed}"
+    joined = ""
     if files:
         routes = ", ".join(map(str, files))
-    return f"{code(routes)} over the maps in {code(source.folder)}"
+    else:
+        joined = f", of which a path joins the ends of {num} routes,"
+    return f"{code(routes)}{joined} over the maps in {code(source.folder)}"
 
 
 def _routes_on(
@@ -199,9 +220,10 @@ def fit_report(fit: WeightFit | TargetFit) -> ResultReport:
     """Return what a fit writes."""
     # The maps by the names of their pictures, the weights [K], and a table of the routes.
     pictures = _pictures(fit.routes)
+    num = len(fit.routes)
     vector = fit.weights.vector(fit.names)
     num_held_out = int(fit.is_held_out.sum())
-    routes = compared_demonstrations(fit.routes, fit.planned)
+    fitted = routes = compared_demonstrations(fit.routes, fit.planned)
     tables = {}
     fields: dict[str, Any] = {}
     figures: Figures = {}
@@ -211,18 +233,24 @@ def fit_report(fit: WeightFit | TargetFit) -> ResultReport:
     if isinstance(fit, WeightFit):
         template = "studies/templates/imitation"
         noun = "demonstration"
-        routes = routes.assign(regret=fit.regret, trust=fit.trust)
+        planned = optimal_demonstrations([each.query for each in fit.others], fit.weights)
+        unseen = compared_demonstrations(fit.others, planned)
+        unseen = unseen.assign(is_held_out=True, regret=fit.others_regret)
+        fitted = fitted.assign(is_held_out=False, regret=fit.regret, trust=fit.trust)
+        routes = pd.concat([fitted, unseen], ignore_index=True)
         figures["weights"] = partial(plot_weights, fit)
         fields["cautions"] = bullets(fit.cautions)
+        fields["contains"] = _contains(fit.table)
         held_out = fill("studies/templates/held_out", num=num_held_out, fit=fit)
         fields["held_out"] = held_out if num_held_out else ""
     else:
         template = "studies/templates/targets"
         noun = "usual route"
+        routes = routes.assign(is_held_out=fit.is_held_out)
         tables["outcomes"] = others["targets"] = fit.outcomes.reset_index()
         tables["tested"] = others["tested"] = fit.tested
-        fields["tested"] = num_held_out or len(routes)
-        fields["fitted"] = len(routes) - num_held_out
+        fields["tested"] = num_held_out or num
+        num -= num_held_out
         fields["targets"] = ", ".join(map(str, fit.targets))
         fields["seen"] = "none" if num_held_out else "all"
 
@@ -233,11 +261,13 @@ def fit_report(fit: WeightFit | TargetFit) -> ResultReport:
         figures[name] = partial(plot_fitted_routes, fit.routes, fit.planned, cost_map, vector, noun)
     setting = _setting([*pictures.values()])
     fields |= {
-        "tables": tables | {"weights": weights, "setting": setting, "means": _means(routes)},
+        "tables": tables | {"weights": weights, "setting": setting, "means": _means(fitted)},
         "credits": [cost_map.maps.attribution for cost_map in pictures.values()],
+        "guessed": [names_of(cost_map.maps.guesses) for cost_map in pictures.values()],
         "fit": fit,
-        "num": len(routes),
-        "overlap": routes["overlap"].mean(),
+        "num": num,
+        "num_held_out": num_held_out,
+        "overlap": fitted["overlap"].mean(),
         "pictures": paragraphs(*(Markdown(f"![Routes](figures/{name}.png)") for name in pictures)),
         "command": command_to_plan(fit.queries[0], fit.weights),
         "pilots": Markdown(" or ".join(map(code, fit.pilots)) or "not on record"),
@@ -277,6 +307,21 @@ def _means(routes: pd.DataFrame) -> pd.DataFrame:
     planned.index = planned.index.str.removeprefix("planned_")
     means = pd.DataFrame({"demonstrated": routes[planned.index].mean(), "planned": planned})
     return means.rename_axis("mean over routes").reset_index()
+
+
+def _contains(table: pd.DataFrame) -> str:
+    """Return which intervals of weights contain the weights of the pilot; empty where either is not known."""
+    known = table.dropna(subset=["pilot", "low"])
+    if known.empty:
+        return ""
+    is_outside = (known.pilot < known.low - ROUNDING) | (known.pilot > known.high + ROUNDING)
+    outside = known.index[is_outside].tolist()
+    if not outside:
+        return "The interval of each weight contains the pilot's (column *pilot*, scaled to sum 1)."
+    return (
+        f"The pilot's weight of {joined_with_and(outside)} lies outside its interval, the others within theirs "
+        "(column *pilot*, scaled to sum 1)."
+    )
 
 
 def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:

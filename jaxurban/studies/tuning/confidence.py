@@ -34,6 +34,10 @@ class FitVerdict(Enum):
     FOLLOWED = (
         "routes that the fit did not see cost {size} more than the cheapest under the weights ({n})"
     )
+    ALL_CHEAPEST = (
+        "each route that the fit did not see is the cheapest under the weights ({n}): of all such routes at most "
+        "{most:.0f} % are not"
+    )
     UNTESTED = (
         "how much more than the cheapest other routes cost is open: {size} on {n}; an interval takes {takes} pairs of "
         "ends that are held out"

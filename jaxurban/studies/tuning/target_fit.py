@@ -116,7 +116,11 @@ class TargetFit(FitResult):
         """Whether the targets hold on other routes, and what the wish costs in every other layer."""
         command = ""
         verdicts, needed = wish_verdicts(
-            self.tested, self.targets, is_tested=bool(self.is_held_out.any()), is_kept=self.is_kept
+            self.tested,
+            self.targets,
+            self.outcomes.is_met.tolist(),
+            is_tested=bool(self.is_held_out.any()),
+            is_kept=self.is_kept,
         )
         if needed:
             share = float(self.is_held_out.mean())

@@ -37,6 +37,10 @@ class WishVerdict(Enum):
     HOLDS = "{first} holds on routes that the weights were not fitted to: {size} ({n})"
     MISSED = "{first} is missed on routes that the weights were not fitted to: {size} ({n})"
     OPEN = "whether {first} holds on other routes is open: {size} on {n}"
+    FAR = (
+        "whether {first} holds on other routes is open: {size} on {n}; on the fitted ones the best weights miss it, "
+        "which more routes hardly change"
+    )
     SEEN = (
         "whether {first} holds on other routes is open: {size} on {n}, of which none was held out"
     )
@@ -117,7 +121,8 @@ def tested_outcomes(
     """Return what routes are like without a wish and with it: a row per target, then per other outcome.
 
     ``what`` is the target or the outcome; ``without_wish`` and ``with_wish`` are means over the queries, in ``unit``,
-    the latter with its interval; ``change`` with its interval; ``largest``, the change of the route that changes most;
+    the latter with its interval; ``change`` with its interval; ``median``, the median of the changes, and ``largest``,
+    that of the route that changes most;
     ``n``, the number of pairs of ends; and how many would decide whether a target holds, else whether the outcome
     changes (``needed``). All intervals hold at once.
 
@@ -160,6 +165,7 @@ def tested_outcomes(
             "without_wish": before.mean(axis=1),
             **dict(zip(interval_columns("with_wish"), reached.T, strict=True)),
             **dict(zip(interval_columns("change"), change.T, strict=True)),
+            "median": np.median(changes, axis=1),
             "largest": largest,
             "n": num,
             "needed": needed,
@@ -168,20 +174,26 @@ def tested_outcomes(
 
 
 def wish_verdicts(
-    tested: pd.DataFrame, targets: Sequence[Target], *, is_tested: bool, is_kept: bool
+    tested: pd.DataFrame,
+    targets: Sequence[Target],
+    is_reached: Sequence[bool],
+    *,
+    is_tested: bool,
+    is_kept: bool,
 ) -> tuple[tuple[Verdict, ...], float]:
     """Return what a fit to targets decided, and how many pairs of ends, held out, would decide more; 0: none.
 
     Args:
       tested: from `tested_outcomes`.
       targets: of the fit.
+      is_reached: whether each is met on the routes that were fitted.
       is_tested: on routes that the fit did not see; else nothing is decided.
       is_kept: nothing was fitted, as the weights without the wish meet all targets.
     """
     rows = tested.to_dict("records")
     verdicts = []
-    for target, row in zip(targets, rows, strict=False):
-        kind = _kind_of(target.is_met(row["with_wish"]), row["needed"], is_kept)
+    for target, row, is_near in zip(targets, rows, is_reached, strict=False):
+        kind = _kind_of(target.is_met(row["with_wish"]), row["needed"], is_kept, is_near)
         if not is_tested:  # an interval of routes that were fitted says nothing of others
             row = row | {"with_wish_low": np.nan, "with_wish_high": np.nan, "needed": np.nan}
             kind = WishVerdict.SEEN
@@ -217,16 +229,17 @@ def _wish_verdict(
     return Verdict(kind, (label,), size, low, high, row["n"], row["unit"], PAIRS, needed, facts)
 
 
-def _kind_of(is_met: bool, needed: float, is_kept: bool) -> WishVerdict:
+def _kind_of(is_met: bool, needed: float, is_kept: bool, is_reached: bool) -> WishVerdict:
     """Return what is decided of a target on routes that the weights were not fitted to.
 
     Args:
       is_met: on their average.
       needed: further pairs of ends that would decide it.
       is_kept: nothing was fitted.
+      is_reached: it is met on the routes that were fitted.
     """
     if needed:
-        return WishVerdict.OPEN
+        return WishVerdict.OPEN if is_reached else WishVerdict.FAR
     if not is_met:
         return WishVerdict.MISSED
     return WishVerdict.BEFORE if is_kept else WishVerdict.HOLDS

@@ -67,7 +67,9 @@ class WeightFit(FitResult):
         bootstrap fits, widened to all weights that explain the demonstrations as well (of lines that were redrawn on
         the grid: that explain any routes within 3 cells of them as well), NaN without bootstrap; ``share_of_cost``, the
         part of the demonstrations' cost that the weight makes up; ``spread``, w_j x std(phi_j) over the demonstrations,
-        scaled so that all of them have the length 1 together, by which fits can be compared; ``unit``, per what it is.
+        scaled so that all of them have the length 1 together, by which fits can be compared; ``pilot``, the weights
+        under which all routes were planned, scaled to sum 1, NaN where these are not on record, or several; ``unit``,
+        per what it is.
       draws: ``[B, K]`` the weights of the bootstrap fits.
       regret: ``[Q]`` by which share each demonstration costs more than the cheapest route that a search finds under
         the weights.
@@ -87,6 +89,7 @@ class WeightFit(FitResult):
       num_tested: pairs of ends that this rests on.
       num_held_out, num_pairs: pairs of ends that were held out, and of all demonstrations.
       routes: the ``Q`` demonstrations that were fitted.
+      others: those that were held out; ``others_regret`` is the regret of each.
       commands: what fits again.
       origin: of the routes, in words.
 
@@ -118,6 +121,8 @@ class WeightFit(FitResult):
     num_held_out: int
     num_pairs: int
     routes: tuple[Demonstration, ...]
+    others: tuple[Demonstration, ...]
+    others_regret: np.ndarray
     commands: FitCommands = IN_PYTHON
     origin: str = GIVEN
 
@@ -147,7 +152,10 @@ class WeightFit(FitResult):
                 needed, self.num_pairs, self.num_held_out / self.num_pairs
             )
         else:
-            verdicts = [Verdict(FitVerdict.FOLLOWED, (), size, low, high, num, "%", PAIRS)]
+            kind = FitVerdict.FOLLOWED if high else FitVerdict.ALL_CHEAPEST
+            others = Clusters(np.arange(num)).interval(np.zeros(num), "share")
+            facts = {"most": 100 * others.high}
+            verdicts = [Verdict(kind, (), size, low, high, num, "%", PAIRS, facts=facts)]
 
         # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
         judged = {name: verdict.needed for verdict in self.verdicts for name in verdict.what}
@@ -224,7 +232,7 @@ def fit_weights(
       >>> fit.regret.round(2).tolist(), round(float(fit.vector.sum()), 3)
       ([0.0, 0.0], 1.0)
       >>> list(fit.table.columns)
-      ['weight', 'low', 'high', 'share_of_cost', 'spread', 'unit']
+      ['weight', 'low', 'high', 'share_of_cost', 'spread', 'pilot', 'unit']
     """
     at_least("bootstrap", bootstrap)
     begin_s = time.perf_counter()
@@ -266,6 +274,7 @@ def fit_weights(
             "high": np.maximum(interval[1], weights),
             "share_of_cost": cost / cost.sum(),
             "spread": spread / max(float(np.linalg.norm(spread)), 1e-300),  # 0 / 0 is 0
+            "pilot": _pilot(demonstrations, names),
             "unit": weight_units(queries[0].cost_map),
         },
         pd.Index(names, name="name"),
@@ -323,7 +332,19 @@ def fit_weights(
         num_held_out=num_held_out,
         num_pairs=num_pairs,
         routes=tuple(demonstrations),
+        others=tuple(held_out),
+        others_regret=held_out_regret,
     )
+
+
+def _pilot(demonstrations: Sequence[Demonstration], names: Sequence[str]) -> np.ndarray:
+    """Return ``[K]`` the weights under which all routes were planned, scaled to sum 1; NaN if not all under one W."""
+    pilots = {each.pilot for each in demonstrations}
+    pilot = pilots.pop()
+    if pilot is None or pilots:
+        return np.full(len(names), np.nan)
+    vector = pilot.vector(names)
+    return vector / vector.sum()
 
 
 def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str]:
