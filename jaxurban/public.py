@@ -5,14 +5,14 @@ that. A stub beside a module says to type checkers, and here, where each of its 
 """
 
 import ast
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from jaxurban.knowledge import Caution, caution_lines
-from jaxurban.spelling import near
+from jaxurban.spelling import alike, near
 
 # Modules of the package whose names are public too.
 NAMESPACES = ("fit", "grad", "metrics", "studies")
@@ -47,7 +47,7 @@ def public_names(
         if name == "__version__" and "." not in package:
             return import_module("importlib.metadata").version(package)
         if home is None:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}{_elsewhere(name)}")
+            raise _no_attribute(f"module {package!r}", name, _meant(name, homes))
         if home == package:  # a module of the package
             return import_module(f"{package}.{name}")
         return getattr(import_module(home), name)
@@ -56,12 +56,21 @@ def public_names(
     return fetch, lambda: names, names
 
 
-def _elsewhere(name: str) -> str:
-    """Return the end of a message on a missing name: public names like it, with their modules; empty without any."""
+def _meant(name: str, own: Iterable[str]) -> list[str]:
+    """Return public names, with their modules, that a missing name of a module may mean: first the module's own."""
     known = {} if name.startswith("_") else _public_homes()
-    names = near(name, known) or [each for each in known if name.startswith(each)]
-    full_names = " or ".join(f"{known[each]}.{each}" for each in names)
-    return f" (did you mean {full_names}?)" if names else ""
+    names = [name] if name in known else alike(name, known.keys() & set(own))
+    names = names or near(name, known) or [each for each in known if name.startswith(each)]
+    return [f"{known[each]}.{each}" for each in names]
+
+
+def _no_attribute(owner: str, name: str, meant: Sequence[str]) -> AttributeError:
+    """Return the error of a missing name with what it may mean, as notebooks show no hint of Python's own.
+
+    Without an object Python adds none either.
+    """
+    hint = f" (did you mean {' or '.join(meant)}?)" if meant else ""
+    return AttributeError(f"{owner} has no attribute {name!r}{hint}", name=name, obj=None)
 
 
 def _public_homes() -> dict[str, str]:
@@ -92,7 +101,28 @@ LEVEL_STYLES = {
 }
 
 
-class FactsRepr:
+class Hints:
+    """Base of what names the attribute that a wrong one means."""
+
+    if not TYPE_CHECKING:  # else a type checker knows no attribute
+
+        def __getattr__(self, name: str) -> Any:
+            """Raise AttributeError for a name that is missing; that of a property in its own words."""
+            if name.startswith("_") or hasattr(type(self), name):
+                return object.__getattribute__(self, name)
+            public = (each for each in dir(self) if not each.startswith("_"))
+            meant = near(name, public)
+            if name in self._items:
+                meant = [f'["{name}"]']
+            raise _no_attribute(f"{type(self).__name__!r} object", name, meant)
+
+    @property
+    def _items(self) -> Collection[str]:
+        """The names that ``[]`` takes."""
+        return ()
+
+
+class FactsRepr(Hints):
     """Base of what shows its `facts`, those that are empty left out, and what it knows to be uncertain or unsafe."""
 
     @property

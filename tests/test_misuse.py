@@ -5,6 +5,7 @@ parameter's name, or goes by its type. A new parameter of another type fails unt
 value is, or that there is none.
 """
 
+import copy
 import functools
 import importlib
 import inspect
@@ -526,6 +527,7 @@ def test_an_unknown_argument_is_answered_by_what_takes_it_or_by_the_list_of_all_
         ("jaxurban", "GpsParams", "jaxurban.Gps"),
         ("jaxurban.fit", "plan", "jaxurban.plan"),
         ("jaxurban", "openmaps", "jaxurban.open_maps"),
+        ("jaxurban", "plann", "jaxurban.plan"),
     ],
 )
 def test_a_name_that_is_public_elsewhere_is_said_to_be_there(module, name, home):
@@ -534,6 +536,25 @@ def test_a_name_that_is_public_elsewhere_is_said_to_be_there(module, name, home)
     ):
         getattr(importlib.import_module(module), name)
     assert not hasattr(ju, "BenchmarkSettings")
+
+
+def test_a_missing_attribute_of_a_result_names_the_one_that_is_meant():
+    path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
+    for owner, wrong, meant in (
+        (MAPS, "gps", '["gps"]'),
+        (MAPS, "altitudes", "altitudes_m"),
+        (MAPS.grid, "bounds", "bounds_m"),
+        (path, "xy", "xy_m"),
+        (path, "length", "length_m"),
+    ):
+        expected = (
+            f"'{type(owner).__name__}' object has no attribute '{wrong}' (did you mean {meant}?)"
+        )
+        with pytest.raises(AttributeError, match=f"^{re.escape(expected)}$"):
+            getattr(owner, wrong)
+    with pytest.raises(AttributeError, match=r"has no attribute 'quite_another'$"):
+        path.quite_another  # noqa: B018
+    assert copy.deepcopy(path).length_m == path.length_m
 
 
 def test_help_lists_the_sections_that_maps_are_made_with():

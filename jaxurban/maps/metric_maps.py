@@ -245,6 +245,10 @@ class MetricMaps(FactsRepr):
         """The metrics of the cost in these maps by name, those that a user added too, in the order of the layers."""
         return held_metrics(self.ds)
 
+    @property
+    def _items(self) -> list[str]:
+        return [*self.metrics, *map(str, self.ds.data_vars)]
+
     __iter__ = None  # `maps["gps"]` is one map, and no sequence of them
 
     @typed

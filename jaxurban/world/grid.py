@@ -18,6 +18,7 @@ from pyproj.exceptions import CRSError
 
 from jaxurban.checks import finite, positive, typed
 from jaxurban.errors import InputError, shortened
+from jaxurban.public import Hints
 
 WGS84 = "EPSG:4326"
 MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it stays below 0.001
@@ -290,7 +291,7 @@ def covering_grid(box_m: Bounds, resolution_m: float, crs: str) -> "Grid":
 
 @typed
 @dataclass(frozen=True)
-class Grid:
+class Grid(Hints):
     """A raster of square cells in a projected CRS. Row 0 is the southernmost, column 0 the westernmost.
 
     A cell is known by its global number: column ``j`` of the CRS covers ``[j, j + 1) * resolution_m``

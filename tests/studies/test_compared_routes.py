@@ -116,7 +116,10 @@ def test_the_command_reports_routes_and_writes_every_route(maps, tmp_path, capsy
     assert len(json.loads(out)["routes"]) == 2 * 12
     assert len(pd.read_csv(tmp_path / "out/tables/routes.csv")) == 2 * 12
     report = (tmp_path / "out/report.md").read_text()
-    assert "| altitude_m | routes | changed | closed | regret % | median % | length_m | apart_m |" in report
+    assert (
+        "| altitude_m | routes | changed | closed | regret % | median % | length_m | apart_m |"
+        in report
+    )
 
 
 def test_the_report_has_the_regret_of_each_altitude_and_the_rules_of_the_routes(found):
