@@ -333,3 +333,9 @@ class Metric:
     def one_is(self) -> str:
         """What a value of one is to a path, in a word."""
         return "worst" if self.cost is high_is_bad else "best"
+
+
+def ones_said(metrics: Mapping[str, Metric]) -> str:
+    """Return a sentence on what 1 means in the map of each metric."""
+    said = (f"{name} is at its {each.one_is} ({each.one_means})" for name, each in metrics.items())
+    return f"An m lies between 0 and 1. At 1 {', '.join(said)}."

@@ -107,19 +107,25 @@ class Conclusion(FactsRepr):
     Attributes:
       verdicts: what was asked, the most important first.
       next_command: one command that decides more, or uses what is decided.
+      asked: runs that it asks for, in the nouns of the verdicts; 0: for none.
     """
 
     verdicts: tuple[Verdict, ...]
     next_command: str
+    asked: float = 0.0
 
     @property
     def facts(self) -> dict[str, str]:
         """The three lines by name: ``decided``, ``not decided`` and ``next``."""
         decided = [each for each in self.verdicts if each.is_decided]
         others = [each for each in self.verdicts if not each.is_decided]
+        served = sum(each.needed <= self.asked for each in others)
+        left = ""
+        if 0 < served < len(others):
+            left = f" Next asks for what would decide {served} of these {len(others)}."
         return {
             "decided": _line(decided),
-            "not decided": _line(others),
+            "not decided": _line(others) + left,
             "next": self.next_command,
         }
 
@@ -233,10 +239,12 @@ def concluded(
     if any(each.kind is SharedVerdict.BORDER for each in verdicts):
         command = wider or done
     open_ones = within_reach(verdicts)
+    asked = 0.0
     if open_ones:
+        asked = open_ones[0].needed
         num = factor * _runs_for(open_ones[0], ran)
         command = more.replace("{needed}", str(math.ceil(num)))
-    return Conclusion(tuple(verdicts), command)
+    return Conclusion(tuple(verdicts), command, asked)
 
 
 def within_reach(verdicts: Iterable[Verdict]) -> list[Verdict]:

@@ -32,7 +32,7 @@ from jaxurban.studies.decided import border_verdict, effects, wider_bounds
 from jaxurban.studies.results import StudyResult
 
 CELLS = ("y", "x")
-SAME = 1e-6  # values that differ by no more, as on another device, are equal
+SAME = 1e-5  # values that differ by no more, above 1 by no larger share, are equal: of float32, on another device
 COLUMNS = (
     *("layer", "unit", "altitude_m", "time", "time_of_day"),
     *("cells", "mean_a", "mean", "rms", "higher", "lower", "lost", "gained"),
@@ -44,8 +44,9 @@ class MapVerdict(Enum):
     """Kinds of verdicts on two sets of maps; ``cause`` is the one setting that differs, else B."""
 
     CELLS = (
-        "{cause} changes {means} on average; of {n} at all altitudes and times {lost:,} lose their fix and {gained:,} "
-        "gain one (means of DOPs leave these out), {closed:,} become obstacles and {opened:,} free"
+        "{cause} changes {means} on average; of {free:,} free cells at all altitudes and times {lost:,} lose their "
+        "fix and {gained:,} gain one (means of DOPs leave these out), and of {n}, free or not, {closed:,} become "
+        "obstacles and {opened:,} free"
     )
     ROUTES = (
         "{count:,} of A's {n}, {size}, are closed on B or cost over {same:g} % more there than B's own ({where}), and "
@@ -54,7 +55,7 @@ class MapVerdict(Enum):
     KEPT = "A route of A that B leaves open costs {size} more on B than B's own ({n})"
     KEPT_OPEN = "How much more than B's own a route of A costs on B is open: {size} ({n})"
     NO_ROUTES = "Whether routes change: none were planned"
-    GUESSES = "How much of it comes of what only one of them guesses (A: {of_a}; B: {of_b})"
+    GUESSES = "How much of it comes of what they guess differently (A: {of_a}; B: {of_b})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,8 +111,8 @@ class MapComparison(StudyResult):
         Returns:
           The differences by time, altitude and time of day, as far as the layer has them, and ``[y, x]``, float32 in
           its unit; times are A's. NaN where either is blocked or holds no number. Of ``obstacle`` 1 where only B is
-          blocked, -1 where only A is, NaN without data. Sizes up to `SAME` are 0. Infinite values (dilutions of
-          precision) differ by 0 where both are infinite, else by an infinite number.
+          blocked, -1 where only A is, NaN without data. Sizes up to `SAME`, of values above 1 that share of them, are
+          0. Infinite values (dilutions of precision) differ by 0 where both are infinite, else by an infinite number.
 
         Raises:
           InputError: no such layer in both.
@@ -127,7 +128,8 @@ class MapComparison(StudyResult):
         b = self.b.ds[layer].astype(np.float32).assign_coords(a.coords)
         with np.errstate(invalid="ignore"):  # two infinite values have no difference
             change = b - a
-        change = change.where((a != b) & ~(abs(change) <= SAME), np.float32(0))
+        is_same = abs(change) <= SAME * np.minimum(abs(a), abs(b)).clip(1)
+        change = change.where((a != b) & ~is_same, np.float32(0))
 
         # Obstacles and layers without altitudes have a number wherever there are data, others where cells are free too.
         is_known = self.a.ds["has_data"] & self.b.ds["has_data"]
@@ -174,9 +176,11 @@ class MapComparison(StudyResult):
         # Numbers of cells over all maps of a layer. All DOPs lack a number in the same ones.
         sums: Any = self.table.groupby("layer").sum(numeric_only=True)
         obstacles = sums.loc["obstacle"]
+        first = next(map(self.a.variable, self.a.metrics), "obstacle")  # gps, which has times
         facts = {
             "cause": cause,
             "means": " and ".join(means) or "no metric",
+            "free": int(sums.cells[first]),
             "lost": int(sums.lost.max()),
             "gained": int(sums.gained.max()),
             "closed": int(obstacles.higher),
@@ -319,7 +323,7 @@ def _statistics(layer: str, of_a: xr.DataArray, change: xr.DataArray) -> pd.Data
     finite = change.where(np.isfinite(change)).astype(np.float64)
     columns = {
         "cells": change.count(CELLS),
-        "mean_a": of_a.astype(np.float64).where(finite.notnull()).mean(CELLS),
+        "mean_a": of_a.where(finite.notnull() & np.isfinite(of_a)).mean(CELLS, dtype=np.float64),
         "mean": finite.mean(CELLS),
         "rms": np.sqrt((finite**2).mean(CELLS)),
         "higher": (change > 0).sum(CELLS),

@@ -89,12 +89,16 @@ def test_success_counts_paths_pairs_and_crashes(table):
     assert np.isnan(gaps["long"])
 
 
+ALL_OF = {"short": [], "long": [], "all": ["short", "long"]}
+
+
 def test_success_counts_pairs_without_a_path_by_their_reason(table):
     found = analysis.success(table).set_index(["planner", "range"])
     rows = analysis.weighted_rows(table)
     reasons = {"no_way": "no-path", "blocked": "blocked", "budget": "budget-empty"}
     for (planner, distance), row in found.iterrows():
-        of_it = rows[(rows.planner == planner) & (rows["range"] == distance)]
+        of_it = rows[(rows.planner == planner) & rows["range"].isin([distance, *ALL_OF[distance]])]
+        assert row.pairs == len(of_it)
         for name, status in reasons.items():
             assert row[name] == (of_it.status == status).sum()
     assert found.loc[LINE].blocked.sum() > 0

@@ -91,6 +91,22 @@ def test_the_pilots_weights_stand_beside_the_fitted_ones_and_intervals_say_wheth
     assert "the pilot's weight" not in unknown.report.text.lower()
 
 
+def test_routes_that_were_held_out_and_are_not_counted_are_said(blind):
+    regret = np.array([*[0.001] * 9, 0.2])
+    fit = replace(
+        blind,
+        tested=Interval(0.001, 0.001, 0.001),
+        num_tested=9,
+        others_regret=regret,
+        others_trust=np.array([*[1.0] * 9, 0.01]),
+    )
+    sentence = fit.decided.verdicts[0].sentence
+    assert "0.100 % (0.100 to 0.100) more than the cheapest" in sentence
+    assert "not counted: 1 of 10 routes, with up to 20 % more; all of them have 2.1 %" in sentence
+    all_but_one = replace(fit, tested=Interval(0.0, 0.0, 0.0)).decided.verdicts[0].sentence
+    assert "each route" not in all_but_one
+
+
 def test_no_command_asks_about_what_no_routes_decide(blind):
     constant = Verdict(FitVerdict.CONSTANT, ("risk",), needed=np.inf)
     fit = replace(blind, verdicts=(constant,), tested=Interval(0.0, 0.0, 0.0), num_tested=8)

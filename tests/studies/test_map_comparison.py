@@ -60,15 +60,20 @@ def test_differences_are_b_less_a_where_both_are_free(maps, found):
     assert np.nanmax(at(found, "lidar", 60.0)) == 0
 
 
-def test_statistics_are_numpys_over_all_cells(found):
+def test_statistics_are_numpys_over_all_cells(maps, found):
     for row in found.table[found.table.layer.isin(["gps", "risk", "roof"])].itertuples():
         altitude_m = None if np.isnan(row.altitude_m) else row.altitude_m
         change = at(found, row.layer, altitude_m).astype(float)
+        of_a = maps[0].ds[row.layer]
+        if altitude_m is not None:
+            of_a = of_a.sel(altitude=altitude_m)
+        of_a = of_a.values.reshape(-1, *change.shape)[0]
+        assert row.mean_a == pytest.approx(of_a[np.isfinite(change)].mean(), rel=1e-5)
         values = change[np.isfinite(change)]
         assert row.cells == len(values) > 0
         want = [values.mean(), np.sqrt((values**2).mean())]
         np.testing.assert_allclose([row.mean, row.rms], want, atol=1e-12)
-        assert (row.higher, row.lower) == ((values > 1e-6).sum(), (values < -1e-6).sum())
+        assert (row.higher, row.lower) == ((values > 1e-5).sum(), (values < -1e-5).sum())
 
 
 def test_obstacles_of_one_map_alone_are_counted(maps, found):
@@ -83,9 +88,18 @@ def test_obstacles_of_one_map_alone_are_counted(maps, found):
 def test_no_map_differs_from_itself(maps):
     same = ju.studies.compare(maps[0], maps[0], progress=False)
     assert same.table.higher.max() == same.table.lower.max() == same.table.rms.max() == 0
+    is_free = maps[0].ds["obstacle"].values == 0
+    num_times = maps[0].ds.sizes["time"]
     assert same.decided.facts["decided"].startswith(
-        "B changes no metric on average; of 16,000 cells"
+        f"B changes no metric on average; of {num_times * is_free.sum():,} free cells"
     )
+
+
+def test_rounding_of_a_dop_is_no_difference(maps):
+    b = maps[0].ds.copy(deep=True)
+    b["hdop"] = b["hdop"] * np.float32(1 - 1e-6)
+    same = ju.studies.compare(maps[0], MetricMaps(b), progress=False).table
+    assert same[same.layer == "hdop"][["higher", "lower"]].max(axis=None) == 0
 
 
 def test_cells_that_lose_or_gain_their_fix_are_counted_and_in_no_mean(maps):

@@ -66,7 +66,7 @@ def weighted_rows(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def success(table: pd.DataFrame) -> pd.DataFrame:
-    """Return for how many pairs each planner found a path, a row per planner, altitude and range.
+    """Return for how many pairs each planner found a path, a row per planner, altitude and range, and for all ranges.
 
     ``pairs``, ``paths``, ``joined`` and ``crashed`` are counts. ``solved`` is the percentage of the pairs that some
     path joins for which the planner found one (NaN if there is none), and ``proven`` that of all pairs with the
@@ -88,6 +88,8 @@ def success(table: pd.DataFrame) -> pd.DataFrame:
         budget=rows.status == Status.BUDGET_EMPTY.value,
         gap=gap.where(rows.has_path & np.isfinite(gap)),
     )
+    if rows["range"].nunique() > 1:
+        rows = pd.concat([rows, rows.assign(range="all")])
     grouped = rows.groupby(["planner", "altitude_m", "range"], sort=True)
     result = grouped.agg(
         pairs=("has_path", "size"), paths=("has_path", "sum"), joined=("is_joined", "sum")

@@ -23,7 +23,7 @@ from jaxurban.draw.style import difference_colours, drawing
 from jaxurban.draw.write import Markdown, ResultReport, bullets, plain
 from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.base import TIME
+from jaxurban.metrics.base import TIME, ones_said
 from jaxurban.paths.plan import cost_map
 from jaxurban.pictures import MapForm
 from jaxurban.statistics.bootstrap import Clusters
@@ -139,6 +139,7 @@ def comparison_report(result: MapComparison) -> ResultReport:
             "credits": [result.a.attribution, result.b.attribution],
             "names": result.names,
             "facts": result.a.facts,
+            "legend": ones_said(result.a.metrics),
             "guessed": [names_of(result.a.guesses), names_of(result.b.guesses)],
             "rules": _rules_said(result.a) if len(routes) else "",
             "pairs": routes.pair.nunique() if len(routes) else 0,

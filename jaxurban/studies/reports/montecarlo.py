@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from jaxurban.draw.paths import plot_paths
 from jaxurban.draw.write import Figures, ResultReport, joined_with_and
 from jaxurban.knowledge import names_of
+from jaxurban.metrics.base import ones_said
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
 from jaxurban.pictures import MapForm
@@ -94,6 +95,7 @@ def benchmark_report(result: BenchmarkResult) -> ResultReport:
     fields = {
         "tables": shown,
         "credits": [result.maps.attribution],
+        "legend": ones_said(result.maps.metrics),
         "guessed": [names_of(result.maps.guesses)],
         "num_instances": table.instance.nunique(),
         "num_runs": len(table),

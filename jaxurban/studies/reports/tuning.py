@@ -27,6 +27,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.tables import SUFFIXES, fingerprint
 from jaxurban.io.workspace import Workspace
 from jaxurban.knowledge import names_of
+from jaxurban.metrics.base import ones_said
 from jaxurban.metrics.weights import Weights, check_held
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import MapsFolder
@@ -235,7 +236,7 @@ def fit_report(fit: WeightFit | TargetFit) -> ResultReport:
         noun = "demonstration"
         planned = optimal_demonstrations([each.query for each in fit.others], fit.weights)
         unseen = compared_demonstrations(fit.others, planned)
-        unseen = unseen.assign(is_held_out=True, regret=fit.others_regret)
+        unseen = unseen.assign(is_held_out=True, regret=fit.others_regret, trust=fit.others_trust)
         fitted = fitted.assign(is_held_out=False, regret=fit.regret, trust=fit.trust)
         routes = pd.concat([fitted, unseen], ignore_index=True)
         figures["weights"] = partial(plot_weights, fit)
@@ -262,6 +263,7 @@ def fit_report(fit: WeightFit | TargetFit) -> ResultReport:
     setting = _setting([*pictures.values()])
     fields |= {
         "tables": tables | {"weights": weights, "setting": setting, "means": _means(fitted)},
+        "legend": ones_said(fit.queries[0].cost_map.maps.metrics),
         "credits": [cost_map.maps.attribution for cost_map in pictures.values()],
         "guessed": [names_of(cost_map.maps.guesses) for cost_map in pictures.values()],
         "fit": fit,

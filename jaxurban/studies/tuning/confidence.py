@@ -31,9 +31,7 @@ LEAST_WEIGHT = 1e-5  # of all weights: one that counts is not smaller
 class FitVerdict(Enum):
     """What a fit to routes decides, and what the routes cannot say."""
 
-    FOLLOWED = (
-        "routes that the fit did not see cost {size} more than the cheapest under the weights ({n})"
-    )
+    FOLLOWED = "routes that the fit did not see cost {size} more than the cheapest under the weights ({n}{left_out})"
     ALL_CHEAPEST = (
         "each route that the fit did not see is the cheapest under the weights ({n}): of all such routes at most "
         "{most:.0f} % are not"
@@ -42,7 +40,7 @@ class FitVerdict(Enum):
         "how much more than the cheapest other routes cost is open: {size} on {n}; an interval takes {takes} pairs of "
         "ends that are held out"
     )
-    WEIGHED = "the weight of {first} is {size}"
+    WEIGHED = "the weight of {first} is {size} at 90 %"
     AT_MOST = "the weight of {first} is at most {high}, which adds less than {share} to the cost of any route"
     CONSTANT = "{first} is the same everywhere on these maps: its weight cannot be identified and is left at 0"
     STEPS = (

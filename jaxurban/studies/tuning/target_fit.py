@@ -125,7 +125,7 @@ class TargetFit(FitResult):
         if needed:
             share = float(self.is_held_out.mean())
             command = self.commands.holding_out(needed, self.num_pairs, share)
-        return Conclusion((*verdicts, *self.border), command or self.last_command)
+        return Conclusion((*verdicts, *self.border), command or self.last_command, needed)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -219,6 +219,7 @@ def fit_targets(
             search.explore()
             best = search.run()
         at_shortest = search.outcomes(search.shortest)
+        at_before = search.planned(without).reached
     tested_on = list(itertools.compress(queries, is_held_out)) or queries
     return TargetFit(
         names=names,
@@ -227,7 +228,7 @@ def fit_targets(
             {"weight": best.weights, "unit": weight_units(queries[0].cost_map)},
             pd.Index(names, name="name"),
         ),
-        outcomes=_outcome_table(wanted, best, at_shortest),
+        outcomes=_outcome_table(wanted, best, at_shortest, at_before),
         is_met=bool(np.all(best.missed <= MET)),
         curve=pd.DataFrame(best.rows),
         is_in_budget=time.perf_counter() - begin_s <= settings.budget_s,
@@ -525,18 +526,21 @@ def _known_misses(candidates: Array, aim: _Aim, *, names: Any, targets: Any) -> 
     return jax.lax.map(squared, candidates, batch_size=NUM_AT_ONCE)
 
 
-def _outcome_table(targets: Sequence[Target], best: _Best, at_shortest: np.ndarray) -> pd.DataFrame:
+def _outcome_table(
+    targets: Sequence[Target], best: _Best, at_shortest: np.ndarray, at_before: np.ndarray
+) -> pd.DataFrame:
     """Return a row per target, indexed by its text: its bound, and what was reached and missed.
 
     Args:
       targets: ``[N]``.
       best: of the search.
-      at_shortest: ``[N]`` the outcomes of the shortest routes.
+      at_shortest, at_before: ``[N]`` the outcomes of the shortest routes, and of those without the wish.
     """
     table = pd.DataFrame(
         {
             "wished": [target.value for target in targets],
             "shortest": at_shortest,
+            "before": at_before,
             "reached": best.reached,
             "missed_by": best.missed,
         },

@@ -89,7 +89,7 @@ class WeightFit(FitResult):
       num_tested: pairs of ends that this rests on.
       num_held_out, num_pairs: pairs of ends that were held out, and of all demonstrations.
       routes: the ``Q`` demonstrations that were fitted.
-      others: those that were held out; ``others_regret`` is the regret of each.
+      others: those that were held out; ``others_regret`` and ``others_trust`` are the regret and the trust of each.
       commands: what fits again.
       origin: of the routes, in words.
 
@@ -123,6 +123,7 @@ class WeightFit(FitResult):
     routes: tuple[Demonstration, ...]
     others: tuple[Demonstration, ...]
     others_regret: np.ndarray
+    others_trust: np.ndarray
     commands: FitCommands = IN_PYTHON
     origin: str = GIVEN
 
@@ -152,9 +153,10 @@ class WeightFit(FitResult):
                 needed, self.num_pairs, self.num_held_out / self.num_pairs
             )
         else:
-            kind = FitVerdict.FOLLOWED if high else FitVerdict.ALL_CHEAPEST
+            left_out = self._left_out
+            kind = FitVerdict.FOLLOWED if high or left_out else FitVerdict.ALL_CHEAPEST
             others = Clusters(np.arange(num)).interval(np.zeros(num), "share")
-            facts = {"most": 100 * others.high}
+            facts = {"most": 100 * others.high, "left_out": left_out}
             verdicts = [Verdict(kind, (), size, low, high, num, "%", PAIRS, facts=facts)]
 
         # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
@@ -175,6 +177,18 @@ class WeightFit(FitResult):
             weights = weights_from(query, asked.to_numpy())
             command = command_to_vary(query, weights, f"{folder}-weights")
         return Conclusion((*verdicts, *self.border), command or self.last_command)
+
+    @property
+    def _left_out(self) -> str:
+        """Words on the routes that were held out and hardly count, with their regrets; empty where all count."""
+        regret = 100 * self.others_regret
+        bad = regret[self.others_trust < DISTRUSTED]
+        if not len(bad):
+            return ""
+        return (
+            f"; not counted: {len(bad)} of {len(regret)} routes, with up to {bad.max():.2g} % more; all of them have "
+            f"{regret.mean():.2g} % on average"
+        )
 
     @property
     def facts(self) -> dict[str, str]:
@@ -302,12 +316,13 @@ def fit_weights(
 
     # The regret of those that are held out. One far above the usual one of those that were fitted is bad.
     fitted = weights_from(queries[0], table.weight.to_numpy())
-    held_out_regret = np.empty(0)
+    others_regret = np.empty(0)
     if held_out:
         pool = RoutePool([each.query for each in held_out])
         demo = np.array([each.features for each in held_out])
-        held_out_regret = searched_regret(pool, demo, fitted.vector(names))
-    is_tested = trust_of(held_out_regret, usual_regret(regret)) >= DISTRUSTED
+        others_regret = searched_regret(pool, demo, fitted.vector(names))
+    others_trust = trust_of(others_regret, usual_regret(regret))
+    is_tested = others_trust >= DISTRUSTED
     num_held_out = len(np.unique(group[is_held_out]))
     num_pairs = len(np.unique(group))
     group, city = (each[is_held_out][is_tested] for each in (group, city))
@@ -327,13 +342,14 @@ def fit_weights(
         elapsed_s=time.perf_counter() - begin_s,
         is_settled=is_settled,
         is_held_out=is_held_out,
-        tested=Clusters(group, city, settings.seed).interval(held_out_regret[is_tested]),
+        tested=Clusters(group, city, settings.seed).interval(others_regret[is_tested]),
         num_tested=len(np.unique(group)),
         num_held_out=num_held_out,
         num_pairs=num_pairs,
         routes=tuple(demonstrations),
         others=tuple(held_out),
-        others_regret=held_out_regret,
+        others_regret=others_regret,
+        others_trust=others_trust,
     )
 
 
@@ -406,7 +422,9 @@ def _verdict_sentence(
     if added > 0:
         share += f", of which redrawing them on the grid adds {added:.3g} %"
     if min(best, regret.mean()) <= bar and metric_share <= NEGLIGIBLE:
-        return f"Distance alone explains these routes as well as any of these metrics: {share}."
+        return (
+            f"Distance alone explains the fitted routes as well as any of these metrics: {share}."
+        )
     if min(best, regret.mean()) <= bar:
         return f"These routes follow these metrics: {share}."
     is_trusted = trust >= DISTRUSTED

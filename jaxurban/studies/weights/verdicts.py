@@ -207,11 +207,12 @@ def paid_on_average(rows: pd.DataFrame) -> str:
     """Return the mean of what a user pays more, in words: that of which the interval excludes 0."""
     words = []
     clusters = pairs_of(rows)
-    for name, unit in PAID_WORDS.items():
+    known = {name: unit for name, unit in PAID_WORDS.items() if rows[name].notna().any()}
+    for name, unit in known.items():
         size, low, high = clusters.interval(rows[name])
         if low > 0 or high < 0:
             words.append(sized(size, low, high, unit))
-    return ", ".join(words) or "no more way, people or metres without a fix that can be told from 0"
+    return ", ".join(words) or f"no more {' or '.join(known.values())} that can be told from 0"
 
 
 def paid_said(more: Mapping[Any, Any]) -> str:
