@@ -1,11 +1,15 @@
 """The paper has the form that JOSS asks for, and each of its numbers has a command that gives it."""
 
 import re
+import shlex
 from pathlib import Path
 
+import pandas as pd
+import pytest
 import yaml
 
 from jaxurban.cli.main import app
+from tests.cli_runs import run
 
 ROOT = Path(__file__).parents[1]
 PAPER = ROOT / "paper"
@@ -75,3 +79,16 @@ def test_each_row_has_a_command_and_each_command_names_what_exists():
                     assert name in app.commands
                 case _:
                     assert command.removeprefix("make ") in targets
+
+
+@pytest.mark.slow
+def test_the_command_of_the_receivers_numbers_gives_them(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (at,) = (k for k, row in enumerate(ROWS) if "jaxurban validate" in row[2])
+    (command,) = re.findall(r"`jaxurban ([^`]+)`", ROWS[at][2])
+    code, _, err = run(capsys, *shlex.split(command))
+    assert code == 0, err
+    scores = pd.read_csv(tmp_path / "out/sky/tables/scores.csv").set_index("which").loc["all"]
+    for row, name in ((ROWS[at], "auc"), (ROWS[at + 1], "within")):
+        given = [scores[f"{name}{end}"] for end in ("", "_low", "_high")]
+        assert row[0] == ", ".join(f"{value:.2f}" for value in given)

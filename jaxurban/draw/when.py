@@ -99,7 +99,7 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
 
     # The scales: they reach as far as `LEAST_TOP`, so that a small effect looks small, and begin a little below 0.
     for number, panel in enumerate(axes):
-        top = max(LEAST_TOP[number], panel.get_ylim()[1])
+        top = 1.1 * max(LEAST_TOP[number], panel.dataLim.y1)
         panel.set(ylabel=letter(number, num) + LABELS[number], ylim=(-FOOT * top, top))
         dress(panel)
     figure.align_ylabels(axes)
