@@ -18,8 +18,8 @@ from jaxurban.draw.metrics import (
     obstacle_patches,
     values_of,
 )
-from jaxurban.draw.paths import COST_COLOURS
-from jaxurban.draw.style import Colours, bar_ticks, tick_label
+from jaxurban.draw.paths import colours_of_cost
+from jaxurban.draw.style import Colours, bar_ticks, ends_of, tick_label
 from jaxurban.flights.return_altitude import LONG_NAME, NAME
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import OneMap
@@ -47,10 +47,10 @@ CLOSED = Variable(
         )
     ),
 )
-CLOSED_PATCH = (
-    "closed to routes",
-    "repeating-linear-gradient(45deg,#3a3f45 0 1px,transparent 1px 4px)",
-)
+# Of cells without a fix and of those that are closed: the colour of their stripes, and its slope; and as CSS.
+STRIPES = "repeating-linear-gradient({}deg,{} 0 1px,transparent 1px 4px)"
+HATCHES = {"no-fix": ["#d01824", 1], "closed": ["#3a3f4599", -1]}
+CLOSED_PATCH = "closed to routes", STRIPES.format(45, HATCHES["closed"][0])
 RETURN = Variable(
     NAME, LONG_NAME, "m", title="Return altitude: click home", scale=Scale(low=None, high=None)
 )
@@ -58,7 +58,7 @@ LABELS = {
     CLOSED.name: "closed to routes, by the first cause",
     NAME: f"{LONG_NAME}, in metres",
 }
-NO_FIX_PATCH = ("no fix", "repeating-linear-gradient(135deg,#d01824 0 2px,transparent 2px 4px)")
+NO_FIX_PATCH = "no fix", STRIPES.format(135, HATCHES["no-fix"][0])
 # How values travel of a cell in an obstacle, and of a cell that is not drawn.
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)
 
@@ -127,10 +127,11 @@ class DrawnLayer:
     def colours(self, values: np.ndarray) -> Colours:
         """Return the colour map, scale and label by which values ``[Y, X]`` of this layer are drawn.
 
-        A layer that varies with nothing has a scale of its own values; all maps of another layer share one scale.
+        A layer that varies with nothing, and all costs together, have a scale of their own values; all maps of another
+        layer share one scale.
         """
         if self.name == H_NORM:
-            return COST_COLOURS
+            return colours_of_cost(values)
         if self.name in LABELS:
             return colours_of(self.variable, lambda: values, LABELS[self.name])
         return metric_colours(self.maps, self.name, None if self.dims else values)
@@ -181,9 +182,10 @@ def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
 
     Returns:
       ``edges``, ``[N + 1]`` values, and ``colours``, ``[N, 4]`` bytes (red, green, blue and 255) in base64: colour k is
-      drawn from edge k up to edge k + 1, the first and the last one beyond them too. ``ticks`` are the values that are
-      marked on the bar, [] for classes. ``flat`` are the colours (`_packed`) of a cell in an obstacle, of a cell
-      without a value, and of the value 0, None where 0 has no colour of its own. ``html`` is the legend.
+      drawn from edge k up to edge k + 1, the first and the last one beyond them too. Of a bar the last one is that of
+      values beyond its end, where there are any. ``ticks`` are the values that are marked on the bar, [] for classes.
+      ``flat`` are the colours (`_packed`) of a cell in an obstacle, of a cell without a value, and of the value 0, None
+      where 0 has no colour of its own. ``html`` is the legend.
     """
     maps = layer.maps
     scale = layer.colours(values)
@@ -214,14 +216,20 @@ def legend_of(layer: DrawnLayer, values: np.ndarray) -> dict[str, Any]:
         middles = scale.norm.inverse((steps[:-1] + steps[1:]) / 2)
         colours = scale(np.asarray(middles), bytes=True)
         ticks = bar_ticks(scale)
+
+    # Every eighth colour is enough for the bar's gradient. What lies beyond its end has a colour of its own.
+    gradient = colours[::8, :3]
+    _, greatest = ends_of(values)
+    if ticks and greatest > edges[-1]:
+        edges = np.append(edges, greatest)
+        colours = np.append(colours, scale(np.array([greatest]), bytes=True), axis=0)
     return {
         "flat": [_packed(layer.blocked), _packed(NO_DATA_PATCH[1]), zero_pixel],
         # Digits enough for a float32.
         "edges": [float(f"{edge:.9g}") for edge in np.asarray(edges, float)],
         "colours": base64.b64encode(colours.tobytes()).decode("ascii"),
         "ticks": ticks,
-        # Every eighth colour is enough for the bar's gradient.
-        "html": legend(plain_label(scale.label), colours[::8, :3], _marks(scale, ticks), patches),
+        "html": legend(plain_label(scale.label), gradient, _marks(scale, ticks), patches),
     }
 
 

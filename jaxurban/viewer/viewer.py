@@ -17,7 +17,7 @@ import pandas as pd
 from jaxurban.checks import one_of
 from jaxurban.draw.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.draw.metrics import group_numbers, line_colour
-from jaxurban.draw.paths import planner_colours
+from jaxurban.draw.paths import EDGE_PT, LINE_PT, planner_colours, widths_of
 from jaxurban.draw.profile import ALTITUDE_COLOUR
 from jaxurban.errors import InputError, JaxurbanError, RemadeError
 from jaxurban.flights.check import check
@@ -48,6 +48,7 @@ from jaxurban.viewer.base import base_of
 from jaxurban.viewer.layers import (
     CLOSED,
     H_NORM,
+    HATCHES,
     NOTHING,
     DrawnLayer,
     layers_of,
@@ -73,6 +74,7 @@ from jaxurban.world.grid import crs_said
 
 JSON, BYTES = "application/json", "application/octet-stream"
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
+PX_PER_PT = 96 / 72  # of CSS
 PLANNER_LINES = planner_colours(PLANNERS)
 TOTALS = (  # of `RouteReport.facts`; the costs of layers stand below these, and the whole report is in a fold
     "length m",
@@ -210,6 +212,8 @@ class Viewer:
             "strides": strides_of(grid.shape),
             "weights": {name: float(self.plans.weights[name]) for name in self._labels},
             "planner_colours": PLANNER_LINES,
+            "hatches": HATCHES,
+            "line_px": PX_PER_PT * np.array([widths_of(1)[0], LINE_PT, EDGE_PT]),
             "mission_colours": [ALTITUDE_COLOUR, FOUND_COLOUR],
             "most_bytes": MOST_BYTES,
             "altitudes_m": self.maps.altitudes_m,
@@ -222,7 +226,7 @@ class Viewer:
                 "clearance_m": self.plans.limits.clearance_m,
                 "vertical_clearance_m": self.plans.limits.vertical_clearance_m,
                 "unknown_heights": self.plans.limits.of_unknown,
-                "flight_m": next(iter(self.maps.altitudes_m), 0.0),
+                "flight_m": self._first_altitude_m,
                 "opacity": 100,
                 "speed_m_s": vehicle.speed_m_s or "",
                 "power_w": vehicle.power_w or "",
@@ -289,6 +293,12 @@ class Viewer:
         maps = self.maps
         times = maps.times if maps.default_time is not None else ()
         return {ALTITUDE: maps.altitudes_m, TIME: times, TIME_OF_DAY: maps.times_of_day}
+
+    @property
+    def _first_altitude_m(self) -> float:
+        """The altitude at which the page opens: the middle one of the maps, of two the higher; 0 without altitudes."""
+        altitudes_m = self.maps.altitudes_m
+        return altitudes_m[len(altitudes_m) // 2] if altitudes_m else 0.0
 
     @cached_property
     def _labels(self) -> dict[str, str]:
@@ -369,6 +379,7 @@ class Viewer:
         things = city.why(*query.place)
         things["rule"] = things["rule"].map(shown_rule)
         shown = things[["kind", "height_m", "highest_m", "known_by", "rule"]]
+        shown.columns = shown.columns.str.replace("_", " ")
         table = shown.to_html(index=False, index_names=False, border=0, na_rep="?")
         return sentences([("note", str(things.columns.name))]) + table
 

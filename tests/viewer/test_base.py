@@ -27,7 +27,7 @@ from tests.viewer.test_page import (
 )
 from tests.viewer.test_viewer import answer
 
-MAPS = made_maps(160, 200)
+MAPS = made_maps(160, 200, (10.0, 20.0, 60.0))
 GRID, FREE = MAPS.grid, np.argwhere(MAPS.is_free(20.0))
 LAKE_M, STREET_M = (
     (0, 0, 1000, 800),

@@ -23,7 +23,7 @@ from tests.made_maps import made_maps, maps_of_kinds
 from tests.viewer.browser import READY, SIZE, opened, shown
 
 pytestmark = pytest.mark.slow
-MAPS = made_maps(160, 200)
+MAPS = made_maps(160, 200, (10.0, 20.0, 60.0))
 GRID = MAPS.grid
 FREE = np.argwhere(MAPS.is_free(20.0))
 SKY = '[data-is="sky"] img'

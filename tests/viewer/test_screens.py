@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 CREDIT = "© OpenStreetMap contributors; US Census Bureau; NYC Open Data"
 BEYOND = Guess(GuessKind.BEYOND_DATA, 0.17, facts={"altitude_m": 20.0})
 GUESSES = attribute(heights(0.03), FLAT, BEYOND)
-MADE = made_maps(160, 200)
+MADE = made_maps(160, 200, (10.0, 20.0, 60.0))
 MAPS = MetricMaps(MADE.ds.assign_attrs(GUESSES, attribution=CREDIT))
 GRID, FREE = MAPS.grid, np.argwhere(MAPS.is_free(20.0))
 START, GOAL = FREE[[3000, -3000]].tolist()

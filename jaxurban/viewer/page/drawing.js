@@ -2,8 +2,8 @@
 const KINDS = { // pixels: width of the line; most: metres a pixel up to which it is drawn
   water: { fill: '#b9d3e6', stripes: '#2a6f97', stroke: '#2a6f97', pixels: 1.5, most: Infinity },
   park: { fill: '#a3bf90', stroke: '#3f7d3a', pixels: 1, most: 3 },
-  path: { stroke: '#fff', pixels: 0.6, most: 1.2 }, street: { stroke: '#fff', pixels: 0.8, most: 4 },
-  major: { stroke: '#fff', pixels: 1.6, most: Infinity }, rail: { stroke: '#4a5158', pixels: 0.8, most: 3 },
+  path: { stroke: '#ffffff99', pixels: 0.6, most: 1.2 }, street: { stroke: '#ffffffa6', pixels: 0.8, most: 4 },
+  major: { stroke: '#ffffffb3', pixels: 1.4, most: Infinity }, rail: { stroke: '#4a515899', pixels: 0.8, most: 3 },
 };
 const inMetres = (pen, toPixel, scale, act) => { // draws with metres as its unit
   const [left, top] = toPixel([0, 0]);
@@ -34,16 +34,19 @@ function baseMap({ shapes, names }) {
       if (scale <= most) pen.stroke(path);
     }
   });
-  const write = (pen, toPixel, scale, width, height, ends) => { // those in front come first, and none over another,
-    const taken = ends.map(toPixel).map(([left, top]) => [left + 18, top, 28, 10]); // nor over the label of an end
+  const write = (pen, toPixel, scale, [west, north, east, south], ends, routes) => { // inside these; those in
+    const boxes = (places, ...reach) => places.map(toPixel).map(at => [...at, ...reach]); // front come first, none
+    const taken = [...boxes(ends, 46, 10), ...boxes(routes, 0, 0)], most = taken.length + 60; // over another or a route
     for (const [x, y, text, kind, angle, metres] of names) {
-      const [left, top] = toPixel([x, y]), most = KINDS[kind]?.most ?? Infinity;
-      if (taken.length > 60) return;
-      if (left < 0 || top < 0 || left > width || top > height || scale > most / 2) continue;
+      const [middle, top] = toPixel([x, y]), coarsest = KINDS[kind]?.most ?? Infinity;
+      if (taken.length > most) return;
+      if (middle < west || top < north || middle > east || top > south || scale > coarsest / 2) continue;
       pen.font = kind === 'place' ? '600 12.5px system-ui' : '11px system-ui';
       const half = pen.measureText(text).width / 2 + 4;
       const reach = [Math.abs(half * Math.cos(angle)) + 8, Math.abs(half * Math.sin(angle)) + 8];
-      if (metres && metres / scale < 2 * half || Math.min(left, width - left) < reach[0] - 8) continue;
+      const left = metres ? middle : clamp(middle, west + half, east - half); // a place's name moves inside
+      if (metres && metres / scale < 2 * half || Math.min(left - west, east - left) < reach[0] - 8) continue;
+      if (Math.min(top - north, south - top) < reach[1]) continue;
       if (taken.some(([x2, y2, a, b]) => Math.abs(x2 - left) < a + reach[0] && Math.abs(y2 - top) < b + reach[1]))
         continue;
       taken.push([left, top, ...reach]);
@@ -79,7 +82,7 @@ function outlinesOf(values, { step_m: step, group_colours: colours, cols, rows, 
   return (pen, toPixel, { scale }, flight, isShown) => {
     if (!Object.is(drawn.flight, flight)) Object.assign(drawn, { flight, paths: pathsAt(flight) });
     const drawPath = (path, kind, group) => {
-      const isBelow = kind < 2, isGuessed = kind % 2, alpha = isBelow ? 40 : 100;
+      const isBelow = kind < 2, isGuessed = kind % 2, alpha = (isBelow ? 40 : 100) * (scale < 2 ? 1 : 0.6);
       pen.setLineDash(isGuessed ? [4 * scale, 3 * scale] : []);
       Object.assign(pen, { strokeStyle: `color-mix(in srgb, ${inks[group]} ${alpha}%, transparent)`,
         fillStyle: `${colours[group]}cc`, lineWidth: (scale < 2 ? 1 : 0.6) * scale });
@@ -120,8 +123,9 @@ const colouring = (edges, colours, [blocked, nothing, zero]) => value => {
 const whereClosed = value => value > 1 ? 0xffffffff : 0; // free is 0, an obstacle 1
 const whereNoFix = value => value === Infinity ? 0xffffffff : 0; // of a dilution of precision
 function striped(pen, fillStyle, scale, slope = 0) { // lines of a colour: level, rising or falling
-  const tile = new OffscreenCanvas(6, 6), ink = Object.assign(tile.getContext('2d'), { fillStyle });
-  for (let k = -1; k < 6; k++) ink.fillRect(k, slope < 0 ? k : 5 - slope * k, 2, 1);
+  const size = slope ? 7 : 6, tile = new OffscreenCanvas(size, size), ink = tile.getContext('2d');
+  ink.fillStyle = fillStyle;
+  for (let k = -1; k < size; k++) ink.fillRect(k, slope < 0 ? k : size - 1 - slope * k, slope ? 1.3 : 2, 1);
   const pattern = pen.createPattern(tile, 'repeat');
   pattern.setTransform(new DOMMatrix([scale, 0, 0, scale, 0, 0]));
   return pattern;
@@ -187,7 +191,8 @@ function tilesOf(ask, { tile, rows, cols, resolution_m: side, strides }, view, g
     }
     for (const key of held.keys()) if (held.size > Math.max(200, 3 * num)) held.delete(key); // never those in view
     if (hatch) {
-      Object.assign(over, { globalCompositeOperation: 'source-in', fillStyle: striped(over, ...hatch) });
+      const [colour, slope] = hatch, fillStyle = striped(over, colour, 1, slope);
+      Object.assign(over, { globalCompositeOperation: 'source-in', fillStyle });
       over.fillRect(0, 0, clientWidth, clientHeight);
     }
     pen.globalAlpha = alpha;

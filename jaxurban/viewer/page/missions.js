@@ -62,9 +62,11 @@ function missionsOf({ root, is, field, scene, ask, latest, tell, draw, view, rul
     for (const [ink, width] of [['#fff', 5], [flown, 2.4]]) for (const part of check.lines) line(part, ink, width);
     for (const [place, ...inks] of [[check.lines[0]?.[0], '#fff', flown], [check.lines.at(-1)?.[1], flown, '#fff']])
       if (place) spot(place, 4, ...inks);
+    const named = []; // no number is written over another
     check.places.forEach((place, k) => {
       spot(place, k === chosen ? 8 : 5, wrong, '#fff');
-      label(k + 1, place, wrong);
+      const isClear = named.every(([x, y]) => Math.hypot(x - place[0], y - place[1]) > 14 * view.scale);
+      if (isClear || k === chosen) named.push(place) && label(k + 1, place, wrong);
     });
   };
   is('findings').onclick = ({ target }) => choose([...is('findings').children].indexOf(target.closest('button')));
@@ -81,6 +83,7 @@ function missionsOf({ root, is, field, scene, ask, latest, tell, draw, view, rul
     if (event.dataTransfer.files.length) open(event.dataTransfer.files[0]);
   };
   const walk = step => () => choose(chosen + step, true);
-  return { judge, paint, chooseAt, pick: () => is('file').click(), close: () => { file = null; judge(); },
+  return { judge, paint, chooseAt, pick: () => is('file').click(), isOpen: () => Boolean(check),
+    close: () => { file = null; judge(); },
     keys: { o: () => is('file').click(), n: walk(1), p: walk(-1) } };
 }

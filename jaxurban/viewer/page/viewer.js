@@ -72,30 +72,39 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     if (state.shown) drawTiles(pen, state.shown, { alpha });
     if (state.shown && state.shown.request.layer !== 'closed' && field('closed').checked) {
       const request = { layer: 'closed', at: ofLayer(layers.closed, places()), ...ruled() };
-      drawTiles(pen, { request, colourOf: whereClosed, over: 'closed' }, { hatch: ['#3a3f45', 1, -1] });
+      drawTiles(pen, { request, colourOf: whereClosed, over: 'closed' }, { hatch: scene.hatches.closed });
     }
-    if (state.noFix && field('hatch').checked) drawTiles(pen, state.noFix, { hatch: ['#d01824', 1, 1] });
+    if (state.noFix && field('hatch').checked) drawTiles(pen, state.noFix, { hatch: scene.hatches['no-fix'] });
     const { x, y, scale } = view;
     const isShown = scene.group_colours.map((_, k) => field(`group-${k}`)?.checked ?? true);
     drawLines(pen, [x, y, scale, flight(), Boolean(state.outlines), isShown], ink => {
       base?.draw(ink, toPixel, scale);
       state.outlines?.(ink, toPixel, view, flight(), isShown);
     });
-    base?.write(pen, toPixel, view.scale, width, height, Object.keys(state.ends).map(markOf));
+    const [west, north] = toPixel([0, high]), [east, south] = toPixel([wide, 0]);
+    const area = [Math.max(west, 0), Math.max(north, 0), Math.min(east, width), Math.min(south, height)];
+    const routes = state.lines.flatMap(({ places }) => places.filter((_, k) => k % 4 === 0));
+    base?.write(pen, toPixel, view.scale, area, Object.keys(state.ends).map(markOf), routes);
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
     if (state.drawing) line(state.drawing, '#a01830', 1.5);
-    for (const lane of state.lines) line(lane.places, '#fff', 5.4, { lane });
-    state.lines.forEach((lane, k) => line(lane.places, scene.planner_colours[state.routes[k].planner], 3, { lane }));
-    if (state.report) { // what files of waypoints hold
+    pen.globalAlpha = state.tab === 'check' && missions.isOpen() ? 0.4 : 1; // each tab's own line stands out
+    const [alone, oneOfSeveral, edge] = scene.line_px, pixels = state.lines.length > 1 ? oneOfSeveral : alone;
+    for (const lane of state.lines) line(lane.places, '#fff', pixels + 2 * edge + 1, { lane });
+    state.lines.forEach((lane, k) =>
+      line(lane.places, scene.planner_colours[state.routes[k].planner], pixels, { lane }));
+    if (state.report && view.scale < side / 4) { // what files of waypoints hold: from afar it would hide the route
       line(state.report.mission, '#1f2429', 1.4, { dash: [5, 4] });
-      if (view.scale < 5) for (const place of state.report.mission) spot(place, 2.5, '#fff', '#1f2429');
+      for (const place of state.report.mission) spot(place, 1.5, '#fff', '#fff');
     }
+    pen.globalAlpha = 1;
     for (const [name, place] of Object.entries(state.ends)) {
       line([place, markOf(name)], '#1f2429', 1);
       spot(place, 1, '#1f2429', '#1f2429');
       mark(name, markOf(name));
     }
+    pen.globalAlpha = state.tab === 'plan' && state.lines.length ? 0.4 : 1;
     missions.paint(line, spot, label);
+    pen.globalAlpha = 1;
     const looked = state.tab === 'look' && (isOfHome() ? state.home : state.sky);
     for (const each of [looked, state.linked]) if (each) spot(each, 5, '#1f2429', '#fff');
     if (map.matches(':focus-visible')) spot([view.x, view.y], 3, '#fff', '#1f2429');
@@ -107,7 +116,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const line = (places, strokeStyle, lineWidth, { fill, dash, lane } = {}) => {
     const points = places.map(toPixel);
     pen.beginPath();
-    for (const at of lane ? beside(points, lane, 4) : points) pen.lineTo(...at);
+    for (const at of lane ? beside(points, lane, scene.line_px[1] + scene.line_px[2]) : points) pen.lineTo(...at);
     Object.assign(pen, { strokeStyle, lineWidth, lineJoin: 'round', lineCap: 'round', fillStyle: fill });
     if (fill) { pen.closePath(); pen.fill(); }
     pen.setLineDash(dash || []);
@@ -127,9 +136,12 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     label(name, place, ink);
   };
   const label = (text, place, fillStyle) => {
-    const [left, top] = toPixel(place);
+    const [left, top] = toPixel(place), { clientWidth, clientHeight } = map;
+    if (Math.min(left, top, clientWidth - left, clientHeight - top) < 0) return;
     Object.assign(pen, { font: '600 12px system-ui', strokeStyle: '#fff', fillStyle, lineWidth: 3 });
-    for (const write of ['strokeText', 'fillText']) pen[write](text, left + 11, top + 4);
+    const across = pen.measureText(text).width, isCut = left + 14 + across > clientWidth; // then it stands left
+    const at = [isCut ? left - 11 - across : left + 11, clamp(top + 4, 14, clientHeight - 5)];
+    for (const write of ['strokeText', 'fillText']) pen[write](text, ...at);
   };
   // --- the sheet of controls; where the page is wider they stand beside the map, and it has nothing to open
   const sheet = root.querySelector('[data-do="sheet"]'), aside = root.querySelector('aside');
@@ -138,7 +150,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const reveal = part => { // below the bar, unless another tab is chosen meanwhile
     open(true);
     if (!part.offsetParent) return;
-    for (const box of [aside, part.closest('.jv-side')]) // one of which scrolls
+    for (const box of [aside, part.closest('.jv-side, .jv-place')]) // one of which scrolls
       box.scrollTop += part.getBoundingClientRect().top - bar.getBoundingClientRect().bottom;
   };
   bar.onpointerdown = ({ clientY }) => { state.grip = clientY; };
@@ -178,6 +190,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   const showSky = latest(async () => { // over the place that was clicked; the first one waits for the city
     const follows = 'Looking at the sky …';
     showWhy();
+    is('sky-box').classList.toggle('jv-empty', !state.sky);
     if (state.sky) tell(follows);
     const sky = state.sky && ask('sky', { at: places(), place: toLonLat(state.sky) });
     is('sky').innerHTML = await Promise.resolve(sky).catch(error => {
@@ -328,7 +341,8 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const [[left, right], [low, top]] = [0, 1].map(k => corners.map(place => place[k])).map(each =>
       [Math.min(...each), Math.max(...each)]);
     const scale = 1.1 * Math.max((right - left) / (free[2] - free[0]), (top - low) / (free[3] - free[1]), side / 40);
-    view.show((left + right - (free[0] + free[2] - map.clientWidth) * scale) / 2,
+    const middle = map.clientWidth / 2, half = (right - left) / scale / 2;
+    view.show((left + right) / 2 - (clamp(middle, free[0] + half, free[2] - half) - middle) * scale,
       (low + top + (free[1] + free[3] - map.clientHeight) * scale) / 2, scale, () => fitTo(cornersOf));
   };
   const link = k => { // the same place on the map and on the profile
@@ -402,6 +416,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
       show();
       plan();
     },
+    leave: () => { state.sky = null; showSky(); draw(); },
     closer: () => view.zoom(0.7),
     farther: () => view.zoom(1 / 0.7),
     fit: () => view.fit(),
@@ -467,7 +482,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   };
   for (const each of all('[name="opacity"], [name="hatch"], [name="closed"], [name^="group-"]'))
     Object.assign(each, { oninput: draw, onchange: keep });
-  root.querySelector('nav').hidden = is('sky-box').hidden = !scene.can_plan;
+  root.querySelector('nav').hidden = is('click-hint').hidden = !scene.can_plan;
   const choose = tab => {
     state.tab = tab;
     for (const each of all('[data-tab]')) each.ariaSelected = each.dataset.tab === tab;
