@@ -18,6 +18,7 @@ from tests.made_maps import made_maps
 from tests.viewer.browser import READY, opened, shown
 from tests.viewer.test_page import (
     ink_at,
+    metres_per_pixel,
     middle_of,
     pixel_of,
     plan_between,
@@ -42,10 +43,12 @@ def with_base(tmp_path_factory):
         shapely.box(*LAKE_M) - shapely.box(*ISLAND_M),
         shapely.LineString(STREET_M),
         shapely.Point(1500, 400),
+        shapely.Point(1990, 800),
     ]
     corner_m = GRID.x_min_m, GRID.y_min_m
     moved = [shapely.transform(shape, lambda points: points + corner_m) for shape in shapes]
-    rows = {"kind": ["water", "major", "place"], "name": ["The <Lake>", "Main Street", "Hill"]}
+    names = ["The <Lake>", "Main Street", "Hill", "Easternmost Quarter"]
+    rows = {"kind": ["water", "major", "place", "place"], "name": names}
     frame = gpd.GeoDataFrame(rows, geometry=moved, crs=GRID.crs).to_crs("EPSG:4326")
     file = tmp_path_factory.mktemp("base") / "basemap.parquet"
     frame.attrs = {"credit": "drawn by hand", "licence": "none"}
@@ -175,6 +178,57 @@ def test_the_route_is_never_under_the_report_and_the_fit_follows_the_window(page
         assert max(ink_at(page, at)) < 60  # the goal's mark
 
 
+def written(page) -> list[list]:
+    """Return the level texts on the map when it is drawn again: each text, and its ends in pixels of the page."""
+    found = page.evaluate(
+        """async () => { const pen = CanvasRenderingContext2D.prototype, write = pen.fillText, found = [];
+          pen.fillText = function (text, x, y) {
+            const { a, b, e } = this.getTransform(), { width } = this.measureText(text);
+            const left = e + a * (this.textAlign === 'center' ? x - width / 2 : x);
+            if (b === 0) found.push([String(text), left, left + width]);
+            write.call(this, text, x, y);
+          };
+          document.querySelector('[name="opacity"]').dispatchEvent(new Event('input'));
+          await new Promise(done => setTimeout(done, 200));
+          pen.fillText = write;
+          return found; }"""
+    )
+    west = page.locator("canvas").bounding_box()["x"]
+    return [[text, west + left, west + right] for text, left, right in found]
+
+
+@pytest.mark.slow
+def test_names_stay_inside_the_maps_area_and_labels_of_ends_inside_the_page(page):
+    west, east = (pixel_of(page, 0, col)[0] for col in (0, GRID.num_cols))
+    texts = written(page)
+    assert {text for text, *_ in texts} >= {"Hill", "Easternmost Quarter"}
+    assert all(west <= left and right <= east for _, left, right in texts)
+
+    # Arrows move the map, and with it the goal over the eastern edge of the page.
+    plan_between(page)
+    canvas = page.locator("canvas").bounding_box()
+    edge, seen = canvas["x"] + canvas["width"], []
+    for _ in range(20):
+        seen += [right for text, _, right in written(page) if text == "goal"]
+        page.keyboard.press("ArrowLeft")
+    assert 3 < len(seen) < 20
+    assert max(seen) <= edge
+
+
+@pytest.mark.slow
+def test_a_route_is_a_wide_line_of_its_planners_colour_on_every_layer(page):
+    plan_between(page)
+    length_px = route_of(page)["properties"]["length_m"] / metres_per_pixel(page)
+    colour = page.locator(".jv-route .jv-dot").evaluate("e => getComputedStyle(e).backgroundColor")
+    for layer in ("gps", "lidar", "risk", "population", "h_norm"):
+        page.locator('[name="layer"]').evaluate(
+            "(each, name) => { each.value = name; each.dispatchEvent(new Event('change')); }", layer
+        )
+        settle(page)
+        (num_pixels,) = pixels_of(page, [colour])
+        assert num_pixels > 3 * length_px
+
+
 @pytest.mark.slow
 def test_routes_that_coincide_are_both_in_sight(page):
     plan_between(page, (82, 20), (82, 180))  # along a street
@@ -186,7 +240,18 @@ def test_routes_that_coincide_are_both_in_sight(page):
     colours = page.locator(".jv-route .jv-dot").evaluate_all(
         "all => all.map(e => getComputedStyle(e).backgroundColor)"
     )
-    num_pixels = page.evaluate(
+    num_pixels = pixels_of(page, colours)
+    assert len(num_pixels) == 2
+    assert min(num_pixels) > 0.3 * max(num_pixels)
+    page.check('[value="theta-star"]')
+    settle(page)
+    assert text_of(page, "tell") == ""
+    assert page.locator(".jv-route").count() == 3
+
+
+def pixels_of(page, colours: list[str]) -> list[int]:
+    """Return how many pixels of the map have each of some colours."""
+    return page.evaluate(
         """colours => { const map = document.querySelector('[data-is="map"]');
           const inks = map.getContext('2d').getImageData(0, 0, map.width, map.height).data, found = {};
           for (let k = 0; k < inks.length; k += 4) {
@@ -196,12 +261,6 @@ def test_routes_that_coincide_are_both_in_sight(page):
           return colours.map(colour => found[colour] ?? 0); }""",
         colours,
     )
-    assert len(num_pixels) == 2
-    assert min(num_pixels) > 0.3 * max(num_pixels)
-    page.check('[value="theta-star"]')
-    settle(page)
-    assert text_of(page, "tell") == ""
-    assert page.locator(".jv-route").count() == 3
 
 
 @pytest.mark.slow

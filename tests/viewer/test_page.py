@@ -339,7 +339,7 @@ def test_outlines_of_buildings_below_the_flight_are_pale_and_guessed_ones_dashed
         place = {"y": slice(row, row + 12), "x": slice(col, col + 12)}
         for name in ("roof", "roof_touched"):
             ds[name][place] = height_m
-        ds["obstacle"][place] = np.reshape([height_m >= 20, height_m >= 60], (2, 1, 1))
+        ds["obstacle"][place] = np.reshape(MAPS.altitudes_m, (3, 1, 1)) <= height_m
     guessed[40:52, 80:92] = True
     maps = type(MAPS)(ds.assign(roof_guessed=(("y", "x"), guessed)))
 
@@ -363,7 +363,7 @@ def test_outlines_of_buildings_below_the_flight_are_pale_and_guessed_ones_dashed
         low, tall, dashed = (inks(page, *place) for place in heights_m)
         assert max(low.max(), tall.max()) < 150
         assert dashed.min() < 150 < 190 < dashed.max()
-        page.select_option('[name="altitude"]', "1")
+        page.select_option('[name="altitude"]', "2")
         page.wait_for_timeout(700)
         assert np.median(inks(page, 40, 60)) < 150
         assert 160 < np.median(inks(page, 40, 40)) < 245
@@ -450,7 +450,20 @@ def test_a_click_shows_the_sky_over_the_place_and_another_altitude_shows_that_of
         assert " stands at 139.76" in page.locator('[data-is="stands"]').inner_text()
         box = page.locator(SKY).bounding_box()
         assert box["y"] + box["height"] / 2 < SIZE["height"]  # in sight without scrolling
-        page.locator('[data-is="map"]').focus()
+        page.set_viewport_size({"width": 1440, "height": 900})
+        page.wait_for_timeout(300)
+        last = page.locator('[data-is="values"] tr').last.bounding_box()
+        box = page.locator(SKY).bounding_box()
+        assert last["x"] + last["width"] < box["x"]  # the sky stands beside the list, both in sight
+        assert max(each["y"] + each["height"] for each in (last, box)) < 900
+        shown_map = page.locator(".jv-map").bounding_box()
+        assert shown_map["width"] * shown_map["height"] >= 0.5 * 1440 * 900
+        page.click('[data-do="leave"]')
+        until(page, lambda: not page.locator('[data-is="sky-box"]').is_visible())
+        page.set_viewport_size(SIZE)
+        show_all(page)
+        page.keyboard.press("Enter")
+        page.wait_for_selector(SKY)
         page.keyboard.press("Escape")
         until(page, lambda: page.locator('[data-is="sky"]').inner_html() == "")
         until(page, lambda: page.locator('[data-is="stands"]').inner_html() == "")
@@ -497,7 +510,7 @@ def test_the_exported_file_shows_maps_and_values_without_any_server(browser, tmp
     with opened(browser, file.as_uri()) as page:
         cell = FREE[5000].tolist()
         assert point_at(page, cell)["gps"] == float(MAPS.m("gps", 20.0)[tuple(cell)])
-        page.select_option('[name="altitude"]', "1")
+        page.select_option('[name="altitude"]', "2")
         page.select_option('[name="layer"]', "h_norm")
         until(page, lambda: "normalised cost" in page.locator(".jv-legend").inner_text())
         point_at(page, FREE[900].tolist())

@@ -18,6 +18,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.draw.metrics import metric_colours
+from jaxurban.draw.paths import colours_of_cost
 from jaxurban.errors import InputError
 from jaxurban.flights.export.write import FORMATS
 from jaxurban.io.files import write_json
@@ -158,6 +159,33 @@ def test_colours_are_those_of_the_figures(viewer):
         np.abs(colours[index].astype(int) - of_figures.astype(int)).max() <= 4
     )  # beside an edge, one colour on
     assert (colours[index] == of_figures).all(axis=1).mean() > 0.99
+
+
+@pytest.mark.parametrize("at", [[0, 0, 0], [1, 0, 1]])
+def test_the_cost_has_the_colours_of_the_picture_of_paths(viewer, at):
+    legend = answer(viewer, "legend", layer="h_norm", at=at)
+    norm = MAPS.normalised(MAPS.altitudes_m[at[0]], time_of_day=MAPS.times_of_day[at[2]])
+    colours = np.frombuffer(base64.b64decode(legend["colours"]), np.uint8).reshape(-1, 4)[:, :3]
+    values = norm[np.isfinite(norm)]
+    index = np.clip(np.searchsorted(legend["edges"], values, side="right") - 1, 0, len(colours) - 1)
+    of_picture = colours_of_cost(norm)(values, bytes=True)[:, :3]
+    assert np.abs(colours[index].astype(int) - of_picture.astype(int)).max() <= 2
+    # 2 % of the free cells lie beyond each end of the bar, those above it in a darker colour of their own.
+    low, high = (legend["ticks"][k] for k in (0, -1))
+    assert (values < low).mean() == pytest.approx(0.02, abs=1e-3)
+    assert (values > high).mean() == pytest.approx(0.02, abs=1e-3)
+    assert colours[-1].sum() < colours[-2].sum() - 50
+
+
+@pytest.mark.parametrize(
+    "levels", [[20.0], [20.0, 60.0], [20.0, 60.0, 122.0], [5.0, 9.0, 20.0, 60.0]]
+)
+def test_the_page_opens_at_the_middle_altitude(levels):
+    scene = answer(Viewer(made_maps(24, 30, levels)), "scene")
+    opened_m = scene["fields"]["flight_m"]
+    below, above = sum(z < opened_m for z in levels), sum(z > opened_m for z in levels)
+    assert opened_m in levels
+    assert below - above in (0, 1)  # of two in the middle it is the higher
 
 
 def rings_of(viewer: Viewer) -> list[tuple[np.ndarray, float, bool, str]]:

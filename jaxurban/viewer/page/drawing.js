@@ -82,7 +82,7 @@ function outlinesOf(values, { step_m: step, group_colours: colours, cols, rows, 
   return (pen, toPixel, { scale }, flight, isShown) => {
     if (!Object.is(drawn.flight, flight)) Object.assign(drawn, { flight, paths: pathsAt(flight) });
     const drawPath = (path, kind, group) => {
-      const isBelow = kind < 2, isGuessed = kind % 2, alpha = (isBelow ? 40 : 100) * (scale < 2 ? 1 : 0.6);
+      const isBelow = kind < 2, isGuessed = kind % 2, alpha = (isBelow ? 40 : 100) * (scale < 4 ? 1 : 0.6);
       pen.setLineDash(isGuessed ? [4 * scale, 3 * scale] : []);
       Object.assign(pen, { strokeStyle: `color-mix(in srgb, ${inks[group]} ${alpha}%, transparent)`,
         fillStyle: `${colours[group]}cc`, lineWidth: (scale < 2 ? 1 : 0.6) * scale });

@@ -92,7 +92,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     for (const lane of state.lines) line(lane.places, '#fff', pixels + 2 * edge + 1, { lane });
     state.lines.forEach((lane, k) =>
       line(lane.places, scene.planner_colours[state.routes[k].planner], pixels, { lane }));
-    if (state.report && view.scale < side / 4) { // what files of waypoints hold: from afar it would hide the route
+    if (state.report && view.scale < side / 2.5) { // what files of waypoints hold: from afar it would hide the route
       line(state.report.mission, '#1f2429', 1.4, { dash: [5, 4] });
       for (const place of state.report.mission) spot(place, 1.5, '#fff', '#fff');
     }
