@@ -216,7 +216,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     Object.assign(state.drag, { isMoved: true, end: null });
     choose('look');
     point(place);
-    reveal(is('values'));
+    reveal(is('under'));
   };
   map.onpointerdown = ({ pointerId, button, pointerType, offsetX, offsetY }) => {
     if (button !== 0) return;
