@@ -12,6 +12,8 @@ import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban.draw.paths import PLANNER_COLOURS
+from jaxurban.draw.profile import ALTITUDE_COLOUR
 from jaxurban.errors import InputError
 from jaxurban.flights.export.write import FORMATS
 from jaxurban.paths.suffixes import FLOWN
@@ -19,6 +21,7 @@ from jaxurban.viewer.server import MOST_BODY, MOST_MISSION
 from jaxurban.viewer.viewer import Viewer
 from tests.made_maps import made_maps
 from tests.viewer.browser import opened, served
+from tests.viewer.test_base import pixels_of
 from tests.viewer.test_page import ink_at, text_of, until
 from tests.viewer.test_screens import DESKTOP, FAULTS, share_of_map
 from tests.viewer.test_server import ask
@@ -30,6 +33,10 @@ AT = {"at": [0, 0, 0]}
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 SCREENS = pytest.mark.parametrize("screen", [PHONE, DESKTOP], ids=["390", "1440"])
 RED = np.array([208, 0, 0])
+ROUTE, MISSION = (
+    f"rgb{tuple(bytes.fromhex(colour[1:]))}"
+    for colour in (PLANNER_COLOURS["astar"], ALTITUDE_COLOUR)
+)
 
 
 def line_of(height_m: float) -> str:
@@ -391,7 +398,13 @@ def test_a_click_on_a_finding_chooses_it_and_a_planned_route_keeps_its_altitude(
             page.mouse.click(middle[0] + shift, middle[1])
         until(page, lambda: page.locator(".jv-route").count() == 1)
         until(page, lambda: page.locator('[data-is="report"]').is_visible())
-        page.click('[data-tab="check"]')
+        in_plan, in_check = [], []
+        for tab, inks in (("plan", in_plan), ("check", in_check)):
+            page.click(f'[data-tab="{tab}"]')
+            page.wait_for_timeout(300)
+            inks += pixels_of(page, [ROUTE, MISSION])
+        assert in_plan[0] > 50 > in_check[0]  # where there are both, the other tab's line is pale
+        assert in_check[1] > 50 > in_plan[1]
         assert not page.locator('[data-is="report"]').is_visible()  # it is of another route
         buttons.nth(0).click()
         page.wait_for_timeout(300)
