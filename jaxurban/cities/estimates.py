@@ -21,6 +21,15 @@ from jaxurban.cities.heights import is_given, parse_length_m, read_column
 METHODS = (
     *("height_source", "source_height", "height_method", "height_origin", "height_status"),
     *("heightsource", "height_src", "src_height", "heightmethod", "height_provenance"),
+    *(
+        "method",
+        "hgt_source",
+        "hgt_src",
+        "h_source",
+        "height_type",
+        "roof_height_source",
+        "height_quality",
+    ),
     *("height_sou", "source_hei", "height_met", "height_ori", "height_sta"),
     *("heightaboveground_status", "datenquelledachhoehe", "dqdach"),
 )
@@ -28,13 +37,16 @@ UNSAID = ("unknown", "none", "n/a", "na", "-", "?")  # words of a method that sa
 SOURCES = "sources"  # of Overture
 VARIANCE = "var"  # in square metres
 UPPER = "height_confidence_upper"
-FIGURES = ("confidence", "height_confidence", "height_con", VARIANCE, UPPER)  # which models give
+FIGURES = (
+    *("confidence", "height_confidence", "height_con", "confidence_score", VARIANCE, UPPER),
+    *("variance", "height_variance", "height_std"),
+)  # which models give
 # Data sets of estimates, by their names or a file's.
 DATA_SETS = "microsoft|msft|google.?open|open.?buildings|globfp|global.?building.?atlas|global.?ml.?building"
 # What a method or a source says of a model, and of no survey; 2000 and 3000 are Germany's codes of heights by storeys
 # and by default.
 MODEL = re.compile(
-    "estim|predict|infer|imput|guess|default|assum|schätz|schaetz|geschat|推定|neural|machine|deep.?learn|regress|"
+    "estim|predict|(?:^|_)pred(?:_|$)|(?:^|_)est(?:_|$)|(?:^|_)ml(?:_|$)|infer|imput|guess|default|assum|schätz|schaetz|geschat|推定|neural|machine|deep.?learn|regress|"
     "random.?forest|xgboost|sentinel|ghs|wsf|google|simulat|interpol|u-?net|\\b(?:ml|ai|cnn)\\b|^doi:|"
     "^(?:modell?(?:ed)?|[23]000(?:\\.0)?)$|" + DATA_SETS,
     re.IGNORECASE,

@@ -2,12 +2,12 @@
 
 A rule holds for a feature by the values of a key (``KEY: VALUE VALUE ...``, in small letters; ``KEY of SHAPE: ...`` of
 what has a shape alone: points, or what is lone), or by a sign of `signs.py` that has its name. Of all rules that hold
-**the strongest decides, of equally strong ones the last of the table**; its name stays with what stands
-(`Footprints.rule`). From the weakest:
+**the strongest decides, of equally strong ones that of the highest bound**, and of these the last of the table; its
+name stays with what stands (`Footprints.rule`). **The bound is the highest of all that hold.** From the weakest:
 
 - `ALONE`: what decides only where no other rule holds, as grounds and places do, and what is low by its name. What lies
-  in a building of the file, but for a small one, names a place in it, and what holds some is the ground of them, if
-  they cover a tenth of it: neither is lone.
+  in a building of the file, but for a small one, names a place in it, and what holds some is the ground of them:
+  neither is lone, if the buildings cover a tenth of an area, or half of a thing.
 - `REASON`: a reason why nothing stands.
 - `GROUNDS`: something of no kind, which stands only with a height of its own, as the grounds of a plant do.
 - `UNSURE`: something of unknown kind or extent. Values are no sign of it where something is low or stands indoors, nor
@@ -17,7 +17,7 @@ what has a shape alone: points, or what is lone), or by a sign of `signs.py` tha
 - `BUILDINGS`: a building, which the bound of what else it is bounds too.
 
 Values are those of https://wiki.openstreetmap.org/wiki/Map_features. "*" is any value that no other row of its key has:
-it is unknown with a bound, never nothing. Of a list of values (``a;b``) the strongest counts, of equals the first.
+it is unknown with a bound, never nothing. Of a list of values (``a;b``) the one that decides so counts.
 """
 
 from collections import defaultdict
@@ -56,6 +56,11 @@ from jaxurban.io.issues import ReadIssue
 from jaxurban.io.learned import PACKAGED
 from jaxurban.world.footprints import BUILDING, UNKNOWN
 
+GROUND_SHARES = {
+    "lone areas": 0.1,
+    "lone things": 0.5,
+    "lone points": 0.5,
+}  # of buildings, in what is not lone
 ALONE_ITSELF, REASON, GROUNDS, UNSURE, HOUSES, SURE = range(6)
 LOW = Nothing(f"ends below {LOW_M:g} m")
 GROUND = Nothing("is part of the ground, or level with it or with water")
@@ -165,6 +170,9 @@ THINGS: dict[str, Gives] = {
     "railway: monorail": BRIDGE,
     "railway: coaling_facility": UNLISTED,
     "railway of lone things: ventilation_shaft crossing_box": SHED,
+    "railway: loading_tower loading_rack loading_gauge": UNLISTED,
+    "highway of lone things: toll_booth": SHED,
+    "power of lone areas: substation sub_station station transformer": SLENDER,  # gantries
     "viaduct: yes": BRIDGE,
     "waterway: dam": unknown(350.0, 5.0, "chosen; Jinping-I is 305 m high"),
     "waterway: lock_gate sluice_gate": SLENDER,
@@ -180,13 +188,16 @@ THINGS: dict[str, Gives] = {
     "seamark:type: landmark": unknown(),  # a chimney, a mast or a tower as well
     "seamark:type: platform": TOWER,
     "seamark:type: pylon": PYLON,
+    "seamark:type: radar_station radar_transponder building fortified_structure signal_station_traffic "
+    "signal_station_warning coastguard_station pilot_boarding rescue_station": UNLISTED,
     "seamark:type: crane": CRANE,
     "seamark:type: cable_overhead": POWER_LINE,
     "seamark:type: pipeline_overhead conveyor": UNLISTED,
     "advertising: billboard totem sign screen flag sculpture tarp": UNLISTED,
     "advertising: column": LAMP,
-    "memorial: statue obelisk column tower arch monument cenotaph mausoleum": MONUMENT,
-    "memorial: war_memorial sculpture stele cross pavilion": SLENDER,
+    "memorial: statue obelisk column tower arch monument cenotaph mausoleum pyramid bell_tower": MONUMENT,
+    "memorial: war_memorial sculpture stele cross pavilion aircraft vehicle ship building chapel gate wall lantern "
+    "prow mosaic_tower flagpole anchor crucifix torii lych_gate": SLENDER,
     "artwork of unknown type": UNLISTED,
     "artwork_type: *": UNLISTED,
     "artwork_type: statue obelisk column tower arch monument": MONUMENT,
@@ -215,8 +226,22 @@ THINGS: dict[str, Gives] = {
     "fast_food bar pub food_court ice_cream internet_cafe coworking_space public_bath dojo driving_school "
     "language_school music_school dancing_school vehicle_inspection ferry_terminal animal_boarding animal_shelter "
     "animal_breeding ranger_station hookah_lounge retirement_home convention_centre dormitory register_office": HULL,
-    "healthcare of lone areas: hospital clinic doctor dentist centre laboratory pharmacy": HULL,
-    "craft of lone areas: brewery carpenter sawmill winery distillery": HULL,
+    "healthcare of lone areas: hospital clinic doctor dentist centre laboratory pharmacy alternative audiologist "
+    "birthing_centre blood_bank blood_donation counselling dialysis hospice midwife nurse nutrition_counselling "
+    "occupational_therapist optometrist physiotherapist podiatrist psychotherapist rehabilitation sample_collection "
+    "speech_therapist vaccination_centre yes": HULL,
+    "craft of lone areas: brewery carpenter sawmill winery distillery agricultural_engines atelier bakery basket_maker "
+    "beekeeper blacksmith boatbuilder bookbinder builder cabinet_maker car_painter carpet_layer caterer "
+    "chimney_sweeper cleaning clockmaker confectionery cooper cosmetics dental_technician door_construction dressmaker "
+    "electrician electronics electronics_repair embroiderer engraver fence_maker floorer gardener glassblower glaziery "
+    "goldsmith grinding_mill handicraft hvac insulation interior_work jeweller joiner key_cutter laboratory leather "
+    "locksmith luthier metal_construction metal_works mint musical_instrument oil_mill optician organ_builder painter "
+    "parquet_layer paver photographer photographic_laboratory piano_tuner plasterer plumber pottery print_shop printer "
+    "printmaker rigger roofer saddler sailmaker scaffolder sculptor shoemaker signmaker stand_builder stonemason "
+    "stove_fitter sun_protection tailor tiler tinsmith toolmaker turner upholsterer watchmaker weaver welder "
+    "window_construction yes": HULL,
+    "club of lone areas: scout sport social youth veterans music art automobile culture freemasonry game history "
+    "linux motorcycle nature sailing shooting student theatre yes": HULL,
     "amenity of lone areas: fuel car_wash toilets shower kiosk stage dressing_room compressed_air boat_storage "
     "sanitary_dump_station": SHED,
     "leisure of lone areas: fitness_centre dance bowling_alley ice_rink amusement_arcade adult_gaming_centre "
@@ -230,15 +255,31 @@ THINGS: dict[str, Gives] = {
     "tyres bicycle sports outdoor toys gift art antiques second_hand charity bakery butcher deli beverages alcohol "
     "greengrocer seafood confectionery pastry chemist beauty hairdresser cosmetics massage laundry dry_cleaning kiosk "
     "newsagent tobacco ticket travel_agency funeral_directors pet copyshop rental storage_rental houseware fabric "
+    "wine coffee tea tattoo cannabis bed bag music camera video video_games games photo photo_studio frame model anime "
+    "e-cigarette nutrition_supplements health_food dairy cheese pasta spices frozen_food water ice_cream nuts rice "
+    "brewing_supplies perfumery hairdresser_supply hearing_aids herbalist medical_supply piercing baby_goods boutique "
+    "fashion fashion_accessories leather sewing shoe_repair watches wool curtain carpet flooring doors windows "
+    "glaziery fireplace gas groundskeeping locksmith security swimming_pool bathroom_furnishing household_linen "
+    "candles craft collector trophy party pawnbroker outpost pyrotechnics religion weapons hunting fishing golf ski "
+    "surf scuba_diving horse_riding equestrian pet_grooming bookmaker lottery money_lender appliance electrical "
+    "energy lighting tool_hire atv snowmobile fuel motorcycle_repair truck_repair trailer radiotechnics "
+    "telecommunication vacuum_cleaner hobby tableware fishmonger market duty_free country_store military_surplus "
+    "plant_hire pottery mobile_home boat_repair bus estate_agent insurance internet_cafe spare_parts cash_and_carry "
     "vacant yes": HULL,
     "office of lone areas: company government administrative diplomatic tax_advisor logistics ngo association "
     "insurance financial lawyer estate_agent it coworking research "
+    "accountant advertising_agency architect airline attorney bail_bond_agent broadcaster chamber consulting courier "
+    "construction_company design educational engineer event_management employment_agency financial_advisor forestry "
+    "foundation geodesist graphic_design guide harbour_master healthcare internet_service_provider moving_company "
+    "newspaper notary parish physician political_party politician property_management publisher quango security "
+    "surveyor tax therapist trade_union translator transport travel_agent union university visa water_utility website "
+    "coworking_space private_investigator adoption_agency real_estate camping club "
     "educational_institution telecommunication energy_supplier religion yes": HULL,
     "public_transport of lone areas: station": HULL,
     "railway of lone areas: station halt": HULL,
-    "emergency of lone areas: ambulance_station mountain_rescue": HULL,
-    "location: overhead": unknown(30.0, 2.0),
-    "location: overground": unknown(50.0),
+    "emergency of lone areas: ambulance_station mountain_rescue fire_station lifeguard control_centre": HULL,
+    "location of ways: overhead": unknown(30.0, 2.0),
+    "location of ways: overground": unknown(50.0),
     "location of points: overhead overground": LAMP,
     **{f"{key}: {kind.name}": kind for key, kind in product(OWN_KEYS, OURS)},
     # Keys of which any value names what may stand.
@@ -340,11 +381,23 @@ def _strength(name: str) -> int:
     return UNSURE if gives.name == UNKNOWN else SURE
 
 
-RULES = ALONE | {name: THINGS[name] for name in sorted(THINGS, key=_strength)} | BUILDINGS
+def _weight(name: str) -> tuple[int, float]:
+    """Return what rules are ordered by: their strength, then their bound."""
+    return _strength(name), getattr(THINGS.get(name), "limit_m", 0.0)
+
+
+RULES = ALONE | {name: THINGS[name] for name in sorted(THINGS, key=_weight)} | BUILDINGS
 RANKS = {name: np.int16(rank) for rank, name in enumerate(RULES)}
 NO_RULE = RANKS["nothing of the table"]
 NAMES = np.array([*RULES], object)
 GIVES = np.array([*RULES.values()], object)
+LIMITS_M = np.array([getattr(gives, "limit_m", 0.0) for gives in GIVES])
+FIRST_OF = np.array(
+    [[*RULES.values()].index(gives) for gives in RULES.values()]
+)  # of those that give the same
+BOUNDS_OTHERS = np.array(  # what stands without a height of its own
+    [isinstance(gives, Kind) and (gives.height_m > 0 or gives.name == UNKNOWN) for gives in GIVES]
+)
 IS_UNSURE = np.array([name in THINGS and _strength(name) == UNSURE for name in RULES])
 VALUES: dict[str, dict[str, str]] = {}  # the rules by key, with the shape, and by value
 OF_KEYS: dict[str, dict[str, str]] = {}  # the strongest of all shapes, by key and value
@@ -360,15 +413,16 @@ IN_WORDS = {key: VALUES[key] for key in OWN_KEYS}
 BY_VALUE = {key: rules for key, rules in OF_KEYS.items() if key not in KINDS | IN_WORDS}
 
 
-def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rule that decides on each of ``N`` features, and the one that decides what it is beside a building.
+def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the rule that decides on each of ``N`` features, and what it is beside a building.
 
     Args:
       outlines: the features.
       signs: of these.
 
     Returns:
-      Indices of `RULES`, ``[N]`` each.
+      Two indices of `RULES`, ``[N]`` each: of the rule that decides, and of the one that decides beside a building; and
+      the highest bound of the rules that give another kind, in metres, 0 without one.
     """
     held = [RANKS[name] * signs[name] for name in signs.keys() & (ALONE | THINGS)]
     words = {tag: outlines.words(tag) for tag in OF_KEYS.keys() & outlines.tags}
@@ -378,14 +432,21 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray]:
         if tag in words:
             of_shapes[shape].append(_by_value(*words[tag], signs, rules))
     for shape, of_keys in of_shapes.items():
-        ranks = reduce(np.maximum, of_keys) * signs.get(shape, True)
+        is_it = np.ones(len(outlines.polygons), bool) & signs.get(shape, True)
         if shape.startswith("lone"):
-            ranks *= are_lone(outlines, signs["building"] & ~signs["below"], ranks > 0)
-        held.append(ranks)
+            is_asked = is_it & (reduce(np.maximum, of_keys) > 0)
+            share = GROUND_SHARES[shape]
+            is_it = are_lone(outlines, signs["building"] & ~signs["below"], is_asked, share)
+        held += [ranks * is_it for ranks in of_keys]
     beside = reduce(np.maximum, held)
     decided = reduce(np.maximum, [RANKS[name] * signs[name] for name in BUILDINGS], beside)
+    is_itself = decided == beside
+    limits_m = np.where(is_itself, 0.0, LIMITS_M[beside])
+    for ranks in held:
+        counts = BOUNDS_OTHERS[ranks] & ~(is_itself & (FIRST_OF[ranks] == FIRST_OF[beside]))
+        limits_m = np.where(counts, np.maximum(limits_m, LIMITS_M[ranks]), limits_m)
     is_thin = (GIVES[decided] == BUILDING) & ~signs["areas"]
-    return np.where(is_thin, RANKS["building without an area"], decided), beside
+    return np.where(is_thin, RANKS["building without an area"], decided), beside, limits_m
 
 
 def _by_value(
@@ -409,7 +470,7 @@ def _by_value(
 
 
 def _strongest(text: str, rules: Mapping[str, str], has_numbers: bool) -> str:
-    """Return the strongest rule by a value, or by a list of them with semicolons; the first of all without one.
+    """Return the rule by a value, or the one of a list with semicolons that decides; the first of all without one.
 
     Args:
       text: the value in small letters.
@@ -420,7 +481,7 @@ def _strongest(text: str, rules: Mapping[str, str], has_numbers: bool) -> str:
     words = [word for word in words if word not in (*NO, *ZERO)]
     other = rules.get("*")
     named = [rules.get(word, other) for word in words if has_numbers or word[0].isalpha()]
-    return max(filter(None, named), key=_strength, default=NAMES[0])
+    return max(filter(None, named), key=_weight, default=NAMES[0])
 
 
 def labels_of(outlines: Outlines, ranks: np.ndarray) -> np.ndarray:

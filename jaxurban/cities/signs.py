@@ -18,7 +18,6 @@ from jaxurban.settings import MAX_HEIGHT_M
 
 NO = ("", "no", "false", "none", "null", "nan")
 ZERO = ("0", "0.0")
-GROUND_SHARE = 0.1  # a kiosk within a stadium makes no ground of it
 FLAGS = {*ZERO, "1", "1.0"}  # of a column of yes and no; other numbers are names
 Signs = dict[str, Any]
 
@@ -58,6 +57,7 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
         **_building_signs(outlines, is_area, has_names, has_decks),
         "names": has_names,
         "points": ~is_way,
+        "ways": is_way,
         "areas": is_area,
         "lone things": has_names,
         "lone areas": is_area & has_names,
@@ -102,14 +102,17 @@ def _building_signs(
     }
 
 
-def are_lone(outlines: Outlines, is_building: np.ndarray, is_asked: np.ndarray) -> np.ndarray:
+def are_lone(
+    outlines: Outlines, is_building: np.ndarray, is_asked: np.ndarray, ground_share: float
+) -> np.ndarray:
     """Return which of the features that are asked for, ``[N]`` bool, lie in no building and are not their ground.
 
-    That is where buildings cover `GROUND_SHARE` of it. A middle decides where they lie, as outlines need not be valid.
+    That is where buildings cover a share of it. A middle decides where they lie, as outlines need not be valid.
 
     Args:
       outlines: the features.
       is_building, is_asked: ``[N]`` bool.
+      ground_share: of the area of what is no ground of theirs, which buildings do not cover.
     """
     is_lone = is_asked.copy()
     asked, buildings = outlines.polygons[is_asked], outlines.polygons[is_building]
@@ -119,10 +122,10 @@ def are_lone(outlines: Outlines, is_building: np.ndarray, is_asked: np.ndarray) 
     shapes, buildings = asked[index], buildings[near]
     area_m2, asked_m2 = shapely.area(buildings), shapely.area(asked)
     is_within = shapely.within(middles, buildings)
-    is_within &= area_m2 >= GROUND_SHARE * asked_m2[index]
+    is_within &= area_m2 >= ground_share * asked_m2[index]
     holds = shapely.within(shapely.point_on_surface(buildings[first])[number], shapes)
     held_m2 = np.bincount(index, area_m2 * holds, len(asked))
-    is_ground = held_m2 > GROUND_SHARE * asked_m2
+    is_ground = held_m2 > ground_share * asked_m2
     is_ground[index[is_within]] = True
     is_lone[is_asked] = ~is_ground
     return is_lone

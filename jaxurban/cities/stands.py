@@ -27,22 +27,21 @@ def what_stands(outlines: Outlines, has_decks: bool) -> tuple[Outlines, ReadIssu
 
     Returns:
       Tags more: ``verdict``, ``[N]`` objects, `BUILDING` or the `Kind` of another structure; ``rule``, the name of
-      that which decided; ``label``, what the file calls what is unknown; ``kind_limit_m``, the bound of a building's
-      other kind, 0 without one; ``is_part`` and ``is_deck``, ``[N]`` bool, of buildings.
+      that which decided; ``label``, what the file calls what is unknown; ``kind_limit_m``, the highest bound
+      by rules of other kinds, 0 without one; ``is_part`` and ``is_deck``, ``[N]`` bool, of buildings.
     """
     signs = signs_of(outlines, has_decks) | {"below": _is_below(outlines)}
-    decided, beside = decide(outlines, signs)
+    decided, beside, limits_m = decide(outlines, signs)
     reason = np.array([getattr(gives, "counted_as", None) for gives in GIVES], object)[decided]
     stands = pd.isna(reason)
     reason[~stands & is_water(outlines)] = None
     is_below = stands & signs["below"]
     reason[is_below] = ReadIssue.UNDERGROUND
-    limits_m = np.array([getattr(gives, "limit_m", 0.0) for gives in GIVES])
     more = {
         "verdict": GIVES[decided],
         "rule": NAMES[decided],
         "label": labels_of(outlines, beside),
-        "kind_limit_m": limits_m[beside],
+        "kind_limit_m": limits_m,
         "is_part": signs["part"],
         "is_deck": decided == RANKS["deck of a bridge"],
     }

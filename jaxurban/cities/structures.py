@@ -221,10 +221,9 @@ def _bound_m(others: _Others) -> np.ndarray:
     hull_m2 = shapely.area(shapely.convex_hull(others.outlines.polygons))
     of_hulls_m = np.where(hull_m2 >= CLASSES_M2[1], np.inf, LIMIT_M)
     of_hulls_m = limits_by_name_m(others.outlines, of_hulls_m)
-    is_building = tags["rule"] == "building without an area"  # whose other kind has a bound too
-    of_hulls_m = np.where(is_building, np.fmax(of_hulls_m, tags["kind_limit_m"]), of_hulls_m)
-    of_hulls_m += tags["rise_m"]
-    of_kind_m = np.where(others.kinds == HULL, of_hulls_m, others.sizes.limit_m)
+    of_hulls_m = np.fmax(of_hulls_m, tags["kind_limit_m"]) + tags["rise_m"]
+    of_others_m = np.fmax(others.sizes.limit_m, tags["kind_limit_m"])
+    of_kind_m = np.where(others.kinds == HULL, of_hulls_m, of_others_m)
     is_open = of_kind_m < np.fmax(others.guess_m, others.likely_m)
     is_doubted = np.isin(others.stated.origin, (HeightOrigin.ROUGH, HeightOrigin.ESTIMATED))
     is_open |= is_doubted & (others.stated.height_m > of_kind_m)

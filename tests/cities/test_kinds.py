@@ -55,7 +55,7 @@ def test_every_value_of_the_rules_stands_once_in_one_of_the_tables():
         ("power", "line", "| wire | 30 | 100 | chosen; none where a span exceeds 600 m |"),
         ("attraction", "*", "| unknown |  | 200 |"),
         ("location of points", "overhead", "| unknown |  | 15 |"),
-        ("location", "overhead", "| unknown |  | 30 |"),
+        ("location of ways", "overhead", "| unknown |  | 30 |"),
         ("power", "plant", "| structure | its own height;"),
         ("barrier", "kerb", "| ends below 6 m |"),
         ("man_made", "pier", "| is part of the ground,"),

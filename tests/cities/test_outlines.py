@@ -371,7 +371,7 @@ COURT = (
 )
 AREAS = {
     "a relation has its court": (COURT, [15], {}),
-    "no tag of a building": ([way(9, [1, 2, 3, 4, 1], craft="tailor")], [], {}),
+    "no tag of a building": ([way(9, [1, 2, 3, 4, 1], craft="unheard_of")], [], {}),
     "open ways": (
         [way(9, [1, 2, 3, 4], building="yes"), way(10, [1, 2, 3], highway="path")],
         [0],

@@ -1,4 +1,4 @@
-"""One rule decides on each feature: the strongest of the table, of equals the last, and its name stays with it."""
+"""One rule decides on each feature, the strongest, of equals that of the highest bound, and its name stays with it."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def deciding(shape, **tags):
     }
     outlines = Outlines(np.array([shape], object), tags_of(columns), "EPSG:32618", (), {})
     signs = signs_of(outlines, False) | {"below": np.zeros(1, bool)}
-    decided, _ = decide(outlines, signs)
+    decided, _, _ = decide(outlines, signs)
     return NAMES[decided[0]]
 
 
@@ -41,7 +41,7 @@ def deciding(shape, **tags):
         (WAY, {"highway": "primary", "layer": "1"}, "way of traffic above the ground"),
         (WAY, {"highway": "primary", "layer": "1", "bridge": "yes"}, "bridge: *"),
         (PLACE, {"location": "overhead"}, "location of points: overhead overground"),
-        (WAY, {"location": "overhead"}, "location: overhead"),
+        (WAY, {"location": "overhead"}, "location of ways: overhead"),
         (PLACE, {"location": "overhead", "man_made": "thing"}, "man_made: *"),
         (PLACE, {"man_made": "pier", "height": "12"}, "height of 6 m or more"),
         (PLACE, {"man_made": "pier", "demolished:man_made": "mast", "height": "12"},
@@ -81,7 +81,7 @@ def test_every_rule_without_values_has_its_sign_and_no_two_rules_have_one_name()
     assert len(RULES) == len(ALONE) + len(THINGS) + len(BUILDINGS)
     nothing = Outlines(np.empty(0, object), {}, "EPSG:32618", (), {})
     without_values = {name for name in RULES if ": " not in name}
-    shapes = {"points", "areas", "lone things", "lone areas", "lone points"}
+    shapes = {"points", "ways", "areas", "lone things", "lone areas", "lone points"}
     beside = shapes | {"names", "low", "pond", "part"}
     assert signs_of(nothing, False).keys() - beside == without_values - {"nothing of the table"}
 

@@ -84,7 +84,7 @@ def stand(*features, **rules):
         (WAY, {"barrier": "retaining_wall", "height": "8"}, "structure", 8, 8, 60 + np.pi),
         (WAY, {"barrier": "kerb;thing"}, "unknown", 0, 50, 60 + np.pi),
         (WAY, {"telecom": "line"}, "wire", 10, 30, 60 + np.pi),
-        (PLACE, {"telecom": "antenna", "communication": "line"}, "wire", 10, 30, np.pi),
+        (PLACE, {"telecom": "antenna", "communication": "line"}, "wire", 10, 50, np.pi),
         (WAY, {"man_made": "pipeline", "location": "overhead"}, "unknown", 0, 50, 60 + np.pi),
         (WAY, {"location": "overhead"}, "unknown", 0, 30, 120 + np.pi * 4),
         (PLACE, {"location": "overhead", "man_made": "surveillance"}, "unknown", 0, 15, np.pi),
@@ -206,7 +206,7 @@ def test_structures_stand_with_a_height_or_an_upper_bound(
         ({"proposed:building": "yes"}, "planned"),
         ({"man_made": "pier"}, "not_standing"),
         ({"man_made": "surveillance", "height": "5"}, "not_standing"),
-        ({"power": "substation"}, "not_standing"),
+        ({"power": "plant"}, "not_standing"),
         ({"barrier": "wall", "height": "2"}, "not_standing"),
         *(({"natural": kind, "height": "20", "building": ""}, "not_standing") for kind in ("peak", "ridge")),
         ({"barrier": "kerb", "height": "low", "building": ""}, "not_standing"),
@@ -515,11 +515,44 @@ def test_grounds_places_and_low_things_are_nothing_by_their_names(shape, tags, r
 )
 def test_what_holds_a_building_or_lies_in_one_is_its_ground_or_a_place_in_it(tags):
     house = {"building": "yes", "height": "12"}
-    for shape in (box(-10, -10, 15, 15), box(2, 2, 8, 8), AREA):
+    for shape in (box(-2, -2, 11, 11), box(2, 2, 8, 8), AREA):
         buildings, structures, _ = stand((AREA, house), (shape, tags))
         assert (buildings.height_m.tolist(), len(structures)) == ([12], 0)
     beside = stand((AREA, house), (box(10, 0, 20, 10), tags))
     assert len(beside[0]) + len(beside[1]) == 2
+
+
+def test_a_house_makes_the_ground_of_premises_and_none_of_a_terminal_that_it_fills_a_sixth_of():
+    house = AREA, {"building": "yes", "height": "12"}
+    around = box(-10, -10, 15, 15)
+    for tags, num in (
+        ({"shop": "mall"}, 1),
+        ({"aeroway": "terminal"}, 2),
+        ({"leisure": "stadium"}, 2),
+    ):
+        assert sum(map(len, stand(house, (around, tags))[:2])) == num
+
+
+@pytest.mark.parametrize(
+    ("tags", "upper_m"),
+    [
+        ({"leisure": "stadium", "historic": "yes"}, 150),
+        ({"waterway": "dam", "historic": "yes"}, 350),
+        ({"waterway": "dam", "man_made": "yes"}, 350),
+        ({"historic": "castle", "barrier": "wall"}, 50),
+        ({"natural": "cliff", "barrier": "wall"}, 50),
+        ({"seamark:type": "landmark", "historic": "yes"}, np.inf),
+        ({"memorial": "statue", "tourism": "artwork"}, 60),
+        ({"memorial": "statue", "artwork_type": "sculpture"}, 60),
+        ({"memorial": "stele;statue"}, 60),
+        ({"roller_coaster": "track", "barrier": "wall"}, 200),
+        ({"amenity": "place_of_worship", "barrier": "wall"}, 100),
+    ],
+)
+def test_more_tags_never_lower_a_bound(tags, upper_m):
+    """The bound is the highest of the rules that hold, whichever decides on the kind."""
+    _, structures, _ = stand((AREA, {"building": "", **tags}))
+    assert structures.upper_m.max() == upper_m
 
 
 @pytest.mark.parametrize(
