@@ -141,6 +141,23 @@ def missed(true_m: np.ndarray, guess_m: float) -> dict[str, object]:
     return row
 
 
+def _by_city(known: pd.DataFrame, learned: pd.DataFrame) -> list[dict[str, object]]:
+    """Return how the others' guesses miss each city's buildings: by class and place, and by class alone."""
+    rows = []
+    for city, own in known.groupby("city"):
+        others = learned[learned["city"] != city]
+        row: dict[str, object] = {"city left out": city, "n": len(own)}
+        for column, guess in (
+            ("place", guess_by_class(others)),
+            ("class", guess_by_class(others.assign(place=others["class"]))),
+        ):
+            guess_m = own[column].map(guess)
+            row[f"by {column}, mean miss"] = f"{(guess_m - own['counted_m']).abs().mean():.1f}"
+            row[f"by {column}, true below"] = f"{(own['counted_m'] < guess_m).mean():.0%}"
+        rows.append(row)
+    return rows
+
+
 def covered(true_m: np.ndarray, likely_m: float) -> dict[str, object]:
     """Return how many heights keep below, with the interval of Clopper and Pearson, and the median of the rest."""
     num, below = len(true_m), int((true_m <= likely_m).sum())
@@ -223,6 +240,7 @@ def main() -> None:
             row = {"city left out": city, "place": name}
             rows.append(row | missed(own["counted_m"].to_numpy(), float(others[name])))
     _print(rows)
+    _print(_by_city(known[known["class"].isin(CLASSES)], learned))
     rows = []
     for (city, name), own in known.dropna().groupby(["city", "class"]):
         others = likely_by_class(learned[learned["city"] != city])

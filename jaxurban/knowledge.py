@@ -96,6 +96,11 @@ class GuessKind(Enum):
         "are averages: streets are built over, and towers are higher than it says; give outlines, or a raster of 10 m "
         "or finer",
     )
+    PIXELS_OF_MODEL = (
+        "heights estimated by a model",
+        "the heights of {file} are estimates of a model, which may be far too low, and a raster has no bounds, so that "
+        "they count as measured: judge flights over outlines with heights, or a surface model that was measured",
+    )
     UNIT_OF_HEIGHTS = (
         "the unit of heights",
         "half of the built pixels of the raster of buildings are above {height_m:.0f} m, as in no city, read in "

@@ -21,6 +21,7 @@ from jaxurban.checks import one_of
 from jaxurban.cities.buildings import to_buildings
 from jaxurban.cities.census import read_blocks
 from jaxurban.cities.columns import named_columns
+from jaxurban.cities.estimates import names_estimates
 from jaxurban.cities.guesses import census_guesses, height_guesses, structure_guesses
 from jaxurban.cities.lidar import Points, heights_of_points, read_points
 from jaxurban.cities.osm import OSM_SUFFIXES, header_box, read_osm
@@ -641,6 +642,7 @@ def _read_roofs(
     check_range(name, roofs.values, ROOF_RANGE_M)
     area = area_of_raster(roofs, crs)
     guesses += pixel_guesses(roofs, crs)
+    guesses += guessed(GuessKind.PIXELS_OF_MODEL, float(names_estimates(path.name)), file=name)
     return City(crs, area.bounds, roofs=roofs, area=area, read_issues=issues, guesses=guesses)
 
 

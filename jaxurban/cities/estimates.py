@@ -42,7 +42,10 @@ FIGURES = (
     *("variance", "height_variance", "height_std"),
 )  # which models give
 # Data sets of estimates, by their names or a file's.
-DATA_SETS = "microsoft|msft|google.?open|open.?buildings|globfp|global.?building.?atlas|global.?ml.?building"
+DATA_SETS = (
+    "microsoft|msft|google.?open|open.?buildings|ghs.?built|wsf.?3d|globfp|global.?building.?atlas|"
+    "global.?ml.?building"
+)
 # What a method or a source says of a model, and of no survey; 2000 and 3000 are Germany's codes of heights by storeys
 # and by default.
 MODEL = re.compile(
@@ -85,6 +88,11 @@ def with_estimates(
     return {**tags, "estimated_to_m": estimated_to_m}
 
 
+def names_estimates(file_name: str) -> bool:
+    """Return whether a file has the name of a data set of estimates."""
+    return re.search(DATA_SETS, file_name, re.IGNORECASE) is not None
+
+
 def _is_of_model(
     values: Mapping[str, np.ndarray], file_name: str, height_column: str
 ) -> np.ndarray:
@@ -96,8 +104,7 @@ def _is_of_model(
     is_said = is_given(words)
     is_of_model = np.zeros(num, bool)
     is_of_model[is_said] = [MODEL.search(str(word).strip()) is not None for word in words[is_said]]
-    names_model = MODEL.search(height_column) or re.search(DATA_SETS, file_name, re.IGNORECASE)
-    if names_model:
+    if MODEL.search(height_column) or names_estimates(file_name):
         is_of_model |= ~is_said
     return is_of_model
 

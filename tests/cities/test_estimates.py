@@ -189,10 +189,30 @@ def test_a_method_that_says_nothing_leaves_it_to_the_next_word(tmp_path):
         assert city.buildings.origin.tolist() == [HeightOrigin.ESTIMATED]
 
 
-def test_a_column_that_the_user_names_may_say_that_it_is_of_a_model(tmp_path):
-    path = write_vector(tmp_path / "a.geojson", [SQUARE], WGS84, predicted_height=[20.0])
-    file = ju.Buildings(path, height_column="predicted_height", unit="m")
-    assert read_buildings(file, UTM).buildings.origin.tolist() == [HeightOrigin.ESTIMATED]
+@pytest.mark.parametrize(
+    ("name", "is_estimated"),
+    [
+        *(dict.fromkeys(["predicted_height", "pred_height", "height_pred"], True).items()),
+        *(dict.fromkeys(["height_est", "ml_height", "est_height"], True).items()),
+        *(dict.fromkeys(["roof_h", "west_height", "htmls", "predecessor"], False).items()),
+    ],
+)
+def test_a_column_that_the_user_names_may_say_that_it_is_of_a_model(tmp_path, name, is_estimated):
+    path = write_vector(tmp_path / "a.geojson", [SQUARE], WGS84, **{name: [20.0]})
+    buildings = read_buildings(ju.Buildings(path, height_column=name, unit="m"), UTM).buildings
+    assert (buildings.origin[0] == HeightOrigin.ESTIMATED) == is_estimated
+
+
+@pytest.mark.parametrize(
+    "name", ["method", "HGT_SOURCE", "hgt_src", "height_type", "roof_height_source"]
+)
+def test_more_columns_say_where_a_height_is_from(tmp_path, name):
+    for word, is_estimated in (("ML estimate", True), ("lidar 2019", False)):
+        city = city_of(tmp_path / "a.geojson", {name: word})
+        assert (city.buildings.origin[0] == HeightOrigin.ESTIMATED) == is_estimated
+    for figure in ("confidence_score", "height_std", "variance"):
+        city = city_of(tmp_path / "a.geojson", {figure: 0.7})
+        assert city.buildings.origin[0] == HeightOrigin.ESTIMATED
 
 
 @pytest.mark.parametrize("heights", [{"heights": "estimated"}, {}])

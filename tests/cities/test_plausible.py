@@ -196,6 +196,15 @@ def test_averages_and_decimetres_of_a_raster_are_cautioned(tmp_path, pixel_m, fa
     )
 
 
+@pytest.mark.parametrize(
+    "name", ["GHS_BUILT_H_AGBH_E2018", "WSF3D_V02_BuildingHeight", "open_buildings_2.5d_temporal"]
+)
+def test_heights_of_a_raster_that_a_model_made_are_cautioned(tmp_path, name):
+    city, guesses = city_of(pixels(tmp_path / f"{name}.tif", np.where(IS_BUILT, ROOF_M, 0)))
+    assert guesses == "heights estimated by a model"
+    assert "may be far too low" in by_name(city.guesses)[guesses]
+
+
 def test_where_the_nodata_value_of_heights_is_0_nothing_stands(tmp_path):
     heights = np.where(IS_BUILT, ROOF_M, 0)
     masked, guesses = city_of(pixels(tmp_path / "masked.tif", heights, nodata=0))
