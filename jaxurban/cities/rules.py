@@ -392,6 +392,7 @@ NO_RULE = RANKS["nothing of the table"]
 NAMES = np.array([*RULES], object)
 GIVES = np.array([*RULES.values()], object)
 LIMITS_M = np.array([getattr(gives, "limit_m", 0.0) for gives in GIVES])
+LAST_WITHOUT_BOUND = max(RANKS[name] for name in THINGS if _strength(name) <= GROUNDS)
 FIRST_OF = np.array(
     [[*RULES.values()].index(gives) for gives in RULES.values()]
 )  # of those that give the same
@@ -443,8 +444,11 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray, np
     is_itself = decided == beside
     limits_m = np.where(is_itself, 0.0, LIMITS_M[beside])
     for ranks in held:
-        counts = BOUNDS_OTHERS[ranks] & ~(is_itself & (FIRST_OF[ranks] == FIRST_OF[beside]))
-        limits_m = np.where(counts, np.maximum(limits_m, LIMITS_M[ranks]), limits_m)
+        rows = np.flatnonzero(ranks > LAST_WITHOUT_BOUND)
+        others = ranks[rows]
+        is_own = is_itself[rows] & (FIRST_OF[others] == FIRST_OF[beside[rows]])
+        of_others_m = np.where(BOUNDS_OTHERS[others] & ~is_own, LIMITS_M[others], 0.0)
+        limits_m[rows] = np.maximum(limits_m[rows], of_others_m)
     is_thin = (GIVES[decided] == BUILDING) & ~signs["areas"]
     return np.where(is_thin, RANKS["building without an area"], decided), beside, limits_m
 
