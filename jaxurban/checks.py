@@ -369,10 +369,13 @@ def _check_kind(name: str, value: Any, kinds: list[ArgumentKind], call: str) -> 
         remedy = call
     if _is_number(value) and "a sequence of numbers" in accepted:
         remedy = f": write [{float(value):g}]"
+    shown = _shown(value)
     of_class = re.search(r"a dict of ([A-Z]\w+)(?! \(from)\b", accepted)
     if of_class and isinstance(value, Mapping):
-        remedy = f": write {{{next(iter(value))!r}: {of_class[1]}(...)}}"
-    raise InputError(f"{name} must be {accepted}, got {_shown(value)}{remedy}")
+        key, first = next(iter(value.items()))
+        shown = f"a dict of {type(first).__name__}"
+        remedy = f": write {{{key!r}: {of_class[1]}(...)}}"
+    raise InputError(f"{name} must be {accepted}, got {shown}{remedy}")
 
 
 def _kinds(hint: Any) -> list[ArgumentKind]:

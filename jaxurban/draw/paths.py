@@ -53,14 +53,14 @@ from jaxurban.draw.style import Colours, drawing
 from jaxurban.draw.write import Figures, save
 from jaxurban.errors import InputError
 from jaxurban.io.workspace import Workspace
-from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps, scaled_over
 from jaxurban.metrics.base import TIME, TIME_OF_DAY
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.registry import ON_REQUEST
 from jaxurban.metrics.variables import AUXILIARY_VARIABLES
 from jaxurban.paths.closed import OBSTACLE, causes_at, constraints_of
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.plan import rules_on
+from jaxurban.paths.plan import cost_map, rules_on
 from jaxurban.pictures import MapForm
 from jaxurban.planners.base import EVERY_PATH, Status
 from jaxurban.settings import DEFAULTS
@@ -89,6 +89,8 @@ MOST_LETTERS = 17  # of a path's name in the legend and below its panel
 STEP_PT = 2.2  # by which a path is wider than the next one, or less
 # Widths of the last of several paths of a panel, which lies over the others, and of the first of many.
 LINE_PT, WIDEST_PT = 2.2, 7.5
+MOST_LISTED = 12  # paths of a panel: more are a batch, whose lines are as narrow, and whose ends are all marked
+BATCH_PT, BATCH_END = 1.2, 0.4
 EDGED = "edged"  # gid of lines that have white edges
 # Of their white edge, which parts them from the map and from lines below: of a lone line, and of how much less wide
 # than the line below a line is, so that little of that is hidden.
@@ -158,13 +160,15 @@ def plot_paths(
     larger than the surroundings of the paths, these alone are drawn.
 
     A panel shows the GPS time and the time of day that its paths were planned for, in its title where they differ from
-    panel to panel. Under it stands each planner's cost and length, or its status. Earlier paths are wider, so that all
-    are seen where they coincide. Cells that are closed to all of them and no obstacle are hatched (`closed_at`).
+    panel to panel. Under it stands each planner's cost and length, or its status; of more than 12 paths how many have a
+    route, and their lengths. Earlier paths are wider, so that all are seen where they coincide. Cells that are closed
+    to all of them and no obstacle are hatched (`closed_at`).
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
       paths: one, several, a batch, or a dictionary by name; empty for the costs alone.
-      altitude_m: which altitude, or which ones; left out, those of the paths, or all of the maps' where there is none.
+      altitude_m: which altitude, or which ones, within the range of the maps'; left out, those of the paths, or all of
+        the maps' where there is none.
       names: what the paths are called, one after the other; left out, by their keys, or else by their planners.
       time: UTC time of the GPS maps of a panel without paths; the first if left out.
       time_of_day: of the population map of a panel without paths; the first if left out.
@@ -223,6 +227,8 @@ def plot_paths(
     colours = planner_colours(each.name for each in named)
     paths_at = [[each.path for each in shown] for shown in named_at.values()]
     names_drawn = {each.name: colours[each.name] for each in drawn}
+    if len(names_drawn) > MOST_LISTED:
+        names_drawn = {}
     entries = path_entries(names_drawn, *paths_at)
     figure, axes = draw_maps(
         grid,
@@ -315,6 +321,8 @@ def _cost_panel(
     head = "cost, length:" if has_cost else "length:"
     outcomes = [outcome_line(each.path, each.name, has_cost) for each in named]
     foot = "\n".join([head, *outcomes]) if named else ""
+    if len(named) > MOST_LISTED:
+        foot = batch_line([each.path for each in named])
     is_closed = closed_at(maps, place, [each.path for each in named])
     return MapPanel(title, cost_layers(maps, *place), foot, is_closed=is_closed)
 
@@ -344,8 +352,16 @@ def _places_at(
 def cost_layers(
     maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None
 ) -> list[DrawnMap]:
-    """Return the normalised cost (0: best free cell, 1: worst) and, over it, the obstacles, as layers of a picture."""
-    norm = maps.normalised(altitude_m, time=time, time_of_day=time_of_day)
+    """Return the normalised cost (0: best free cell, 1: worst) and, over it, the obstacles, as layers of a picture.
+
+    Between two altitudes of the maps the costs are those that planners pay there (`cost_map`).
+    """
+    at = {"time": time, "time_of_day": time_of_day}
+    if altitude_m in maps.altitudes_m:
+        norm = maps.normalised(altitude_m, **at)
+    else:
+        between = cost_map(maps, altitude_m, **at)
+        norm = scaled_over(maps.is_free(altitude_m, "centre"), between.costs.sum(axis=0))
     colours = colours_of_cost(norm)
     return [DrawnMap(norm, colours), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
 
@@ -408,7 +424,7 @@ def draw_lines(
     """
     widths_pt = widths_of(len(lines_m))
     steps_pt = -np.diff(widths_pt)
-    edge_pt = min(EDGE_PT, EDGE_SHARE * steps_pt.min(initial=np.inf))
+    edge_pt = min(EDGE_PT, EDGE_SHARE * steps_pt[steps_pt > 0].min(initial=np.inf))
     for line_m, colour, style, width_pt in zip(
         lines_m, colours, cycle(styles), widths_pt, strict=False
     ):
@@ -427,7 +443,9 @@ def draw_lines(
 
 
 def widths_of(num: int) -> np.ndarray:
-    """Return the widths of lines in points, each less than the one before it; a lone line is a wide one."""
+    """Return the widths of lines in points, each less than the one before it; a lone line is wide, many are narrow."""
+    if num > MOST_LISTED:  # of a batch, which seldom coincide
+        return np.full(num, BATCH_PT)
     widest_pt = min(WIDEST_PT, LINE_PT + STEP_PT * max(num - 1, 1))
     return np.linspace(widest_pt, LINE_PT, num)
 
@@ -464,6 +482,15 @@ def outcome_line(path: PlannedPath, name: str, has_cost: bool = True) -> str:
     return f"{legend_name(name)}: {joined(cost if has_cost else '', length, by=', ')}{graph}"
 
 
+def batch_line(paths: Sequence[PlannedPath]) -> str:
+    """Return a line of text on many paths: how many have a route, and their lengths in km."""
+    lengths_km = [path.length_m / 1000 for path in paths if path.status.has_path]
+    line = f"{len(lengths_km)} of {len(paths)} have a route"
+    if not lengths_km:
+        return line
+    return f"{line}, {min(lengths_km):.2f} to {max(lengths_km):.2f} km, median {np.median(lengths_km):.2f} km"
+
+
 def is_best_of_grid(path: PlannedPath) -> bool:
     """Return whether a path is the cheapest of a grid, and one at any angle may cost less."""
     return path.status is Status.OPTIMAL and path.search.graph not in ("", EVERY_PATH)
@@ -475,8 +502,13 @@ def grid_said(named: Iterable[DrawnPath]) -> str:
 
 
 def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:
-    """Mark start (circle) and goal (star) of the first path that was found."""
-    for path in [path for path in paths if path.status.has_path][:1]:
+    """Mark start (circle) and goal (star) of the first path that was found; of many paths those of all."""
+    found = [path for path in paths if path.status.has_path]
+    if len(paths) > MOST_LISTED:
+        for path in found:
+            mark_ends(panel, path.xy_m[0], path.xy_m[-1], BATCH_END)
+        return
+    for path in found[:1]:
         mark_ends(panel, path.xy_m[0], path.xy_m[-1])
 
 

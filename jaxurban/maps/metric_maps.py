@@ -456,11 +456,7 @@ class MetricMaps(FactsRepr):
           (0.0, 1.0)
         """
         total = self.total(altitude_m, time=time, time_of_day=time_of_day)
-        is_free = self.is_free(altitude_m, "centre")
-        lowest = np.min(total[is_free], initial=np.inf)
-        highest = np.max(total[is_free], initial=-np.inf)
-        span = highest - lowest if highest > lowest else 1
-        return np.where(is_free, (total - lowest) / span, np.float32(np.nan))
+        return scaled_over(self.is_free(altitude_m, "centre"), total)
 
     @typed
     def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
@@ -557,6 +553,14 @@ class MetricMaps(FactsRepr):
 
 
 MapsLike = MetricMaps | str | Path  # what `as_maps` takes
+
+
+def scaled_over(is_free: np.ndarray, costs: np.ndarray) -> np.ndarray:
+    """Return costs ``[y, x]`` scaled to [0, 1] over the free cells, NaN elsewhere; 0 where all cost the same."""
+    lowest = np.min(costs[is_free], initial=np.inf)
+    highest = np.max(costs[is_free], initial=-np.inf)
+    span = highest - lowest if highest > lowest else 1
+    return np.where(is_free, (costs - lowest) / span, np.float32(np.nan))
 
 
 def as_maps(maps: MapsLike) -> MetricMaps:

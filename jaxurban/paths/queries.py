@@ -124,16 +124,20 @@ def _place_columns(queries: pd.DataFrame, weight_names: Iterable[str]) -> Sequen
     """
     known = (*COLUMNS, *(WEIGHT_PREFIX + name for name in weight_names))
     unknown = [str(name) for name in queries if str(name) not in known]
+    hold = ""
     if unknown:
-        raise InputError(
-            f"queries have unknown columns {unknown}{nearest_name(unknown[0], known)}: leave them out, in pandas by "
-            f"queries.drop(columns=[...]); the columns are {', '.join(known)}"
-        )
+        hold = f"unknown columns {unknown}{nearest_name(unknown[0], known)}"
     names = IN_METRES if IN_METRES[0] in queries else LONLAT
     missing = [name for name in names if name not in queries]
     if missing:
+        beside = f" and have {hold}" if hold else ""
         choices = f"{', '.join(LONLAT)} or {', '.join(IN_METRES)}"
-        raise InputError(f"queries lack the columns {', '.join(missing)}: give {choices}")
+        raise InputError(f"queries lack the columns {', '.join(missing)}{beside}: give {choices}")
+    if hold:
+        raise InputError(
+            f"queries have {hold}: leave them out, in pandas by queries.drop(columns=[...]); the columns are "
+            f"{', '.join(known)}"
+        )
     in_degrees = [name for name in LONLAT if name in queries]
     if names == IN_METRES and in_degrees:
         raise InputError(

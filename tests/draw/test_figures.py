@@ -24,6 +24,7 @@ from jaxurban import plot as plotting
 from jaxurban.draw.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer, surroundings
 from jaxurban.draw.metrics import obstacle_patches, precise_percent
 from jaxurban.draw.paths import (
+    BATCH_PT,
     EDGED,
     LINE_PT,
     ON_A_GRID,
@@ -33,6 +34,7 @@ from jaxurban.draw.paths import (
     CostChoice,
     closed_at,
     colours_of_cost,
+    cost_layers,
     maps_figures,
 )
 from jaxurban.draw.style import bar_ticks, chart, wrapped
@@ -568,6 +570,28 @@ def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
     widths_pt = [line.get_linewidth()[0] for line in lines]
     assert (np.diff(widths_pt) < 0).all()
     assert (widths_pt[0], widths_pt[-1]) == (WIDEST_PT, LINE_PT)
+
+
+def test_a_batch_is_narrow_lines_under_one_summary_with_all_ends(maps):
+    paths = [make_path(maps, "astar") for _ in range(29)]
+    paths.append(replace(paths[0], status=Status.NO_PATH))
+    batch = {f"{number}": path for number, path in enumerate(paths)}
+    (panel,) = panels_of(plotting.plot_paths(maps, batch))
+    assert {line.get_linewidth()[0] for line in routes_of(panel)} == {BATCH_PT}
+    (*_, foot) = panel.get_xlabel().splitlines()
+    assert foot == "29 of 30 have a route, 5.68 to 5.68 km, median 5.68 km"
+
+
+def test_a_route_between_the_maps_altitudes_is_drawn_over_the_costs_that_it_pays(maps):
+    path = replace(make_path(maps, "astar"), altitude_m=40.0)
+    (panel,) = panels_of(plotting.plot_paths(maps, path))
+    assert panel.get_title(loc="left") == "40 m"
+    costs = ju.cost_map(maps, 40.0).costs.sum(axis=0)
+    free = costs[maps.is_free(40.0, "centre")]
+    expected = (costs - free.min()) / (free.max() - free.min())
+    layers = cost_layers(maps, 40.0, None, None)
+    is_free = np.isfinite(layers[0].values)
+    assert layers[0].values[is_free] == pytest.approx(expected[is_free], abs=1e-6)
 
 
 @pytest.mark.slow
