@@ -1,6 +1,7 @@
 """A study as a value of a notebook: units of its tables, its pictures alone and in another figure, no folder."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,25 @@ def test_a_study_without_a_folder_is_the_same_and_is_kept_when_it_is_saved(
     assert in_memory.decided.facts["decided"] == kept.decided.facts["decided"]
     assert (in_memory.save("later")[-1]).read_text().startswith("# Which weights matter")
     assert Path("later/figures/switch_routes.png").exists()
+    kept.save("kept")  # the same study
+    turned = ju.studies.sensitivity(
+        crossed, routes=[ends[::-1]], altitudes_m=[20.0], progress=False
+    )
+    before = Path("kept/report.md").read_bytes()
+    with pytest.raises(ju.InputError, match="holds another run of `jaxurban sensitivity`"):
+        turned.save("kept")
+    assert Path("kept/report.md").read_bytes() == before
+    turned.save("kept", overwrite=True)
+
+
+@pytest.mark.slow
+def test_a_benchmark_that_is_saved_replaces_none_of_other_settings(study, tmp_path):
+    study.save(tmp_path / "kept")
+    chosen = replace(study.settings, study=replace(study.settings.study, seed=77))
+    other = replace(study, settings=chosen)
+    with pytest.raises(ju.InputError, match="its seed is"):
+        other.save(tmp_path / "kept")
+    study.save(tmp_path / "kept")
 
 
 @pytest.mark.slow

@@ -67,7 +67,7 @@ def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
 
 
 def benchmark_report(result: BenchmarkResult) -> ResultReport:
-    """Return what a benchmark writes; no facts guard its folder, as the rows alone decide what is written."""
+    """Return what a benchmark writes."""
     table = result.table
     settings = result.settings
     study = settings.study
@@ -114,4 +114,7 @@ def benchmark_report(result: BenchmarkResult) -> ResultReport:
         "fewest_runs": FEWEST_RUNS,
     }
     files = {f"{name}.csv": table for name, table in tables.items()}
-    return ResultReport("studies/templates/study", fields, files, figures, decided=result.decided)
+    key = settings.deciding(result.maps)
+    return ResultReport(
+        "studies/templates/study", fields, files, figures, key=key, decided=result.decided
+    )

@@ -25,8 +25,8 @@ from jaxurban.studies.weights.cities import (
     in_order,
     named_sources,
     open_cities,
-    routes_key,
     routes_of_cities,
+    study_key,
 )
 from jaxurban.studies.weights.one_route import one_route
 from jaxurban.studies.weights.routes import WeightsJob, query_of, typed_columns
@@ -121,11 +121,7 @@ def sensitivity(
         query_of(*only, snap)  # its ends are free
 
     # What identifies the study in its folder, and the files that it may write there.
-    key = job.to_dict() | {
-        "maps": {city: maps.identity for city, maps in cities.maps.items()},
-        "order_of_cities": [*cities.maps],
-        "routes": routes_key(instances),
-    }
+    key = study_key(job, cities.maps, instances)
     folders = ROUTES_FOLDER, CHANGED_FOLDER
     names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in folders), *FILES]
     place: Any

@@ -32,6 +32,7 @@ from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.queries import ends_option, population_norms, weights_option
 from jaxurban.studies.results import SHARES, StudyResult, with_units
 from jaxurban.studies.weights import summary
+from jaxurban.studies.weights.cities import study_key
 from jaxurban.studies.weights.one_route import MORE, OneRoute
 from jaxurban.studies.weights.routes import WeightsJob
 from jaxurban.studies.weights.settings import SensitivitySettings
@@ -220,8 +221,9 @@ def sensitivity_report(result: Sensitivity) -> ResultReport:
         "fewest_runs": FEWEST_RUNS,
         "small": joined_with_and(small) if small else "none",
     }
+    key = study_key(result.rules, result.maps, result.instances)
     return ResultReport(
-        "studies/templates/sensitivity", fields, tables, figures, decided=result.decided
+        "studies/templates/sensitivity", fields, tables, figures, key=key, decided=result.decided
     )
 
 

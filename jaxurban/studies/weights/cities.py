@@ -241,10 +241,16 @@ def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
         )
 
 
-def routes_key(instances: pd.DataFrame) -> str:
-    """Return a text that differs between studies of different routes: how many there are, and a digest of them."""
+def study_key(
+    job: WeightsJob, maps: Mapping[str, MetricMaps], instances: pd.DataFrame
+) -> dict[str, Any]:
+    """Return what identifies a study in its folder: its rules, its maps by city, and how many routes, with a digest."""
     plain = instances.drop(columns="is_connected").sort_values(list(ROUTE_KEY))
-    return f"{len(plain)} ({fingerprint(plain.to_csv(index=False))})"
+    return job.to_dict() | {
+        "maps": {city: each.identity for city, each in maps.items()},
+        "order_of_cities": [*maps],
+        "routes": f"{len(plain)} ({fingerprint(plain.to_csv(index=False))})",
+    }
 
 
 def in_order(rows: pd.DataFrame, cities: Iterable[str]) -> pd.DataFrame:
