@@ -13,7 +13,14 @@ import click
 from jaxurban.errors import InputError
 from jaxurban.io.samples import located
 from jaxurban.io.sniff import LIDAR, sniff
-from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number, stored_maps
+from jaxurban.io.stored import (
+    RUN_FILE,
+    ZARR_FOLDER,
+    short_number,
+    stored_maps,
+    stored_resolutions,
+    unfinished_said,
+)
 from jaxurban.knowledge import names_of, shown_rule
 from jaxurban.terminal.common import GIVEN, JSON_FLAG, LONLAT, Point, Settings, print_json
 from jaxurban.terminal.options import command
@@ -33,9 +40,10 @@ MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # 
 def info_command(path: Path, place: Point | None, as_json: bool) -> None:
     """Say what a file or a folder of maps holds.
 
-    FILE is of buildings, or a raster: printed are extent, CRS, counts and guessed heights. Of a mission, a receiver's
-    log, a track, orbits or a scenario it says in a line what it holds, and what reads it. With --at, longitude,latitude
-    in degrees, it says what stands there by a file of buildings, or by the files of maps: kind, rule, height and bound.
+    Of a folder of several folders of maps it says how far each is. FILE is of buildings, or a raster: printed are
+    extent, CRS, counts and guessed heights. Of a mission, a receiver's log, a track, orbits or a scenario it says in a
+    line what it holds, and what reads it. With --at, longitude,latitude in degrees, it says what stands there by a file
+    of buildings, or by the files of maps: kind, rule, height and bound.
     """
     has_maps = any((path / name).exists() for name in (ZARR_FOLDER, RUN_FILE))
     if place is not None:
@@ -49,8 +57,12 @@ def info_command(path: Path, place: Point | None, as_json: bool) -> None:
         else:
             print(things.columns.name)
         return
+    folders = _folders_of_maps(path)
     if has_maps:
         facts, numbers = _facts_of_maps(path)
+    elif folders:
+        facts = {folder.name: _state_of(folder) for folder in folders}
+        numbers = []
     else:
         file = located(path)
         try:
@@ -85,6 +97,20 @@ def _city_of(path: Path, has_maps: bool = False) -> "City":
         return City.from_files(Buildings(path, allow=("none",)))
 
 
+def _folders_of_maps(path: Path) -> list[Path]:
+    """Return the folders in a folder that hold maps, as those of several scenarios do."""
+    if not path.is_dir():
+        return []
+    return [each for each in sorted(path.iterdir()) if (each / ZARR_FOLDER).is_dir()]
+
+
+def _state_of(folder: Path) -> str:
+    """Return of which resolutions a folder holds maps, and how far those are that are not finished."""
+    listed = ", ".join(f"{short_number(each)} m" for each in stored_resolutions(folder))
+    unfinished = unfinished_said(folder)
+    return f"unfinished maps: {unfinished}" if unfinished else f"maps of {listed}"
+
+
 def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
     """Return what to print of the maps in a folder, by name, and the same as numbers and lists, per resolution.
 
@@ -95,6 +121,9 @@ def _facts_of_maps(folder: Path) -> tuple[Settings, list[Settings]]:
 
     facts: Settings = {}
     numbers: list[Settings] = []
+    unfinished = unfinished_said(folder)
+    if unfinished:
+        return {"unfinished": unfinished}, numbers
     resolutions_m = list(stored_maps(folder))
     for resolution_m in resolutions_m:
         maps = open_maps(folder, resolution_m)

@@ -89,14 +89,25 @@ def num_tiles_in(work: Path) -> tuple[int, int]:
     return 0, 0
 
 
-def _check_unfinished(folder: Path) -> None:
-    """Raise InputError where unfinished maps lie under a folder, with how many of their tiles there are."""
+def unfinished_said(folder: Path) -> str:
+    """Return how far unfinished maps under a folder are, and what goes on with them; empty where all are finished."""
+    finished = stored_resolutions(folder)
+    states = [f"{short_number(resolution_m)} m is finished" for resolution_m in finished]
     for work in work_paths(folder):
         num_done, num_tiles = num_tiles_in(work)
-        raise InputError(
-            f"{str(folder)!r} holds unfinished maps, {num_done} of {num_tiles} tiles: the same `jaxurban maps` command "
-            "goes on with them"
-        )
+        resolution = work.name.removeprefix(".").removesuffix(f"m{SCRATCH_SUFFIX}")
+        states.append(f"{resolution} m has {num_done} of {num_tiles} tiles")
+    is_ended = (folder / RUN_FILE).exists() or not are_of_a_run(folder)
+    if len(states) == len(finished) and is_ended:
+        return ""
+    return f"{', '.join(states)}: the same `jaxurban maps` command goes on, if none is at work"
+
+
+def _check_unfinished(folder: Path) -> None:
+    """Raise InputError where unfinished maps lie under a folder, with how many of their tiles there are."""
+    state = unfinished_said(folder)
+    if state:
+        raise InputError(f"{str(folder)!r} holds unfinished maps: {state}")
 
 
 def root_files(folder: Path) -> list[Path]:

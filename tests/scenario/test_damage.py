@@ -176,7 +176,7 @@ def test_damaged_maps_of_another_job_are_not_taken_for_ours(job):
 
 @pytest.mark.slow
 def test_unfinished_maps_say_how_many_tiles_there_are_and_a_resumed_run_how_many_were(
-    tmp_path, monkeypatch, caplog
+    tmp_path, monkeypatch, caplog, capsys
 ):
     city = tiled_runs.city()
     with monkeypatch.context() as patched:
@@ -186,9 +186,16 @@ def test_unfinished_maps_say_how_many_tiles_there_are_and_a_resumed_run_how_many
     marks = sorted((tmp_path / "job" / "maps.zarr" / ".20m.jaxurban-part" / "done").glob("tile_*"))
     marks[0].unlink()
     left = f"{len(marks) - 1} of {len(marks)} tiles"
-    words = f"holds unfinished maps, {left}: the same `jaxurban maps` command goes on with them"
-    with pytest.raises(InputError, match=re.escape(words)):
+    words = f"20 m has {left}: the same `jaxurban maps` command goes on, if none is at work"
+    with pytest.raises(InputError, match=re.escape(f"holds unfinished maps: {words}")):
         stored_maps(tmp_path / "job")
+    code, out, err = run(capsys, "info", tmp_path / "job")
+    assert (code, out.strip()) == (0, f"unfinished  {words}"), err
+    tiled_runs.make(tmp_path / "other", city)
+    (tmp_path / "other" / "run.json").write_text("{}")  # the last file of the command
+    code, out, err = run(capsys, "info", tmp_path)  # which holds both
+    assert code == 0, err
+    assert out.splitlines() == [f"job    unfinished maps: {words}", "other  maps of 20 m"]
     with caplog.at_level("INFO", logger="jaxurban"):
         pipeline.make_zarr(tiled_runs.maker(tmp_path / "job", city), Report(), tiled_runs.RAGGED)
     assert f"resumed, {left} of 20 m" in caplog.messages
