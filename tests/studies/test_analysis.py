@@ -132,7 +132,7 @@ def test_planners_are_ranked_by_cost_where_both_found_a_path_and_by_the_pairs_th
     solved = of_pairs.pairs.set_index(["first", "second"])
     assert solved.loc[(CHEAP, LINE)].size == 5
     assert solved.loc[(CHEAP, LINE), "size"] == pytest.approx(100 * 6 / 11)
-    place = dict.fromkeys(IN_METRES, 5.0) | {"altitude_m": 20.0}
+    place = dict.fromkeys(IN_METRES, 5.0) | {"altitude_m": 20.0, "instance": 1}
     given = pd.DataFrame([place]), made_maps(10, 10), "jaxurban study city.toml -o DIR"
     decided = analysis.conclusion(table.assign(at_edge=0.0), *given)
     assert decided.facts["next"].startswith(
@@ -146,12 +146,28 @@ def test_planners_are_ranked_by_cost_where_both_found_a_path_and_by_the_pairs_th
 
 
 def test_of_one_planner_there_is_nothing_to_compare(table):
-    place = dict.fromkeys(IN_METRES, 5.0) | {"altitude_m": 20.0}
+    lost = {
+        "altitude_m": 20.0,
+        "instance": 10,
+        "w_distance": 0.1,
+        "w_gps": 2.0,
+    }  # that no path joins
+    maps = made_maps(10, 10)
+    places = [
+        lost | dict.fromkeys(IN_METRES, 5.0),
+        lost | dict.fromkeys(IN_METRES, 15.0) | {"instance": 1},
+    ]
     alone = table[table.planner == CHEAP].assign(at_edge=0.0)
-    given = pd.DataFrame([place]), made_maps(10, 10), ""
+    given = pd.DataFrame(places), maps, ""
     lines = analysis.conclusion(alone, *given).facts
     assert lines["not decided"] == (f"there is nothing to compare, as {CHEAP} is the only planner.")
     assert lines["next"].startswith("jaxurban plan ")
+    assert "--weights distance=0.1,gps=2," in lines["next"]
+    first, second = (
+        analysis.conclusion(alone, pd.DataFrame([place]), maps, "").facts["next"]
+        for place in places
+    )
+    assert lines["next"] == second != first
 
 
 def test_shortest_paths_are_set_against_the_cheapest(table):

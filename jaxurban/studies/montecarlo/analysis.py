@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.queries import IN_METRES
+from jaxurban.metrics.weights import Weights
+from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX
 from jaxurban.paths.rows import BAD_INPUT, CRASHED, HAS_PATH
 from jaxurban.planners.base import Status
 from jaxurban.statistics.bootstrap import Clusters, Interval, named
@@ -20,7 +21,7 @@ from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded
 from jaxurban.studies.decided import Measure, Ranking, border_verdict, effects, ranked, wider_bounds
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
-from jaxurban.studies.queries import ends_option
+from jaxurban.studies.queries import ends_option, weights_option
 
 
 def with_instances(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
@@ -264,7 +265,10 @@ def conclusion(
         planner = rankings_of["cost"].names[0].partition(" = ")[0]
     folder = maps.folder or "DIR"
     again = again or f"jaxurban study {maps.folder or 'SCENARIO'} -o {folder}"
-    first = instances.iloc[0]
+    solved = instances.merge(best[KEY], on=KEY)
+    first = (instances if solved.empty else solved).iloc[0]
+    of_first = first.filter(like=WEIGHT_PREFIX).rename(lambda name: name.removeprefix(WEIGHT_PREFIX))
+    weights = weights_option(Weights(**of_first.astype(float)))
     ends = ends_option(maps.grid, first[[*IN_METRES]].to_numpy(float).reshape(2, 2))
     num = table.instance.nunique()
     bounds = wider_bounds(maps)
@@ -273,6 +277,6 @@ def conclusion(
         verdicts,
         more=f"{again} {more}{{needed}}",
         wider=bounds and f'{again}-wider {more}{num} --set "region.bounds={bounds}"',
-        done=f"jaxurban plan {folder} {ends} --altitude {first.altitude_m:g} --planner {planner}",
+        done=f"jaxurban plan {folder} {ends} --altitude {first.altitude_m:g} --planner {planner} --weights {weights}",
         ran=num,
     )
