@@ -233,8 +233,12 @@ class Judge:
             "cost": planned.cost,
             "inside": inside_m,
             "depth": depth_m,
+            "refused": 0.0,
         }
-        return found | self.written(planned) | self.mission(on, closed, planned, end)
+        try:
+            return found | self.written(planned) | self.mission(on, closed, planned, end)
+        except ju.InputError:  # a mission that its own check finds in a building is not written
+            return found | {"refused": 1.0}
 
 
 def zones_over(scene: Scene, resolution_m: float, rng: np.random.Generator) -> tuple[Zone, ...]:
@@ -303,6 +307,7 @@ def tables(rows: pd.DataFrame) -> str:
             "that cut outlines": f"{len(cuts) / len(group):.0%}",
             "mean length inside of these, most": f"{cuts.mean() if len(cuts) else 0:.1f} m, {group.inside.max():.1f} m",
             "deepest": f"{group.depth.max():.1f} m",
+            "missions refused": f"{group.refused.sum():.0f}",
         }
         clearance[key] = {name: f"{group[name].min():.3f} m" for name in files}
         clearance[key]["over roofs"] = f"{group[over].min(axis=None):.3f} m"

@@ -132,6 +132,7 @@ def routes() -> pd.DataFrame:
             "cost": 2 * m,
             "inside": inside_m[rule][k],
             "depth": 2.0,
+            "refused": float(rule == "centre" and k == 0),
         }
         for rule in lengths_m
         for k, m in enumerate(lengths_m[rule])
@@ -140,8 +141,8 @@ def routes() -> pd.DataFrame:
 
 def test_shares_count_paths_alone_and_prices_pairs_with_both(routes):
     inside, price, clearance, missions = tables(routes).split("\n\n")
-    assert "| a | centre | astar-plus | 3 | 33% | 4.0 m, 4.0 m | 2.0 m |" in inside
-    assert "| a | touched | astar-plus | 4 | 0% | 0.0 m, 0.0 m | 2.0 m |" in inside
+    assert "| a | centre | astar-plus | 3 | 33% | 4.0 m, 4.0 m | 2.0 m | 1 |" in inside
+    assert "| a | touched | astar-plus | 4 | 0% | 0.0 m, 0.0 m | 2.0 m | 0 |" in inside
     assert price.endswith(
         "| a | touched | astar-plus | 5.00% (9.5%; 10.0%) | 5.00% (9.5%; 10.0%) |"
     )
