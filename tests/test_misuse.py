@@ -438,7 +438,7 @@ WITHOUT_PEOPLE = ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"]))
         (
             "build_maps",
             {"layers": {"noise": np.zeros((2, 2))}},
-            "got dict: write {'noise': Layer(...)}",
+            "got a dict of ndarray: write {'noise': Layer(...)}",
         ),
         ("FitSettings", {"max_rounds": True}, "max_rounds must be a whole number, got True"),
         ("SensitivitySettings", {"seed": -1}, "seed must be a whole number from 0 up, got -1"),
