@@ -267,7 +267,9 @@ def conclusion(
     again = again or f"jaxurban study {maps.folder or 'SCENARIO'} -o {folder}"
     solved = instances.merge(best[KEY], on=KEY)
     first = (instances if solved.empty else solved).iloc[0]
-    of_first = first.filter(like=WEIGHT_PREFIX).rename(lambda name: name.removeprefix(WEIGHT_PREFIX))
+    of_first = first.filter(like=WEIGHT_PREFIX).rename(
+        lambda name: name.removeprefix(WEIGHT_PREFIX)
+    )
     weights = weights_option(Weights(**of_first.astype(float)))
     ends = ends_option(maps.grid, first[[*IN_METRES]].to_numpy(float).reshape(2, 2))
     num = table.instance.nunique()
