@@ -356,11 +356,10 @@ def cost_layers(
 
     Between two altitudes of the maps the costs are those that planners pay there (`cost_map`).
     """
-    at = {"time": time, "time_of_day": time_of_day}
     if altitude_m in maps.altitudes_m:
-        norm = maps.normalised(altitude_m, **at)
+        norm = maps.normalised(altitude_m, time=time, time_of_day=time_of_day)
     else:
-        between = cost_map(maps, altitude_m, **at)
+        between = cost_map(maps, altitude_m, time=time, time_of_day=time_of_day)
         norm = scaled_over(maps.is_free(altitude_m, "centre"), between.costs.sum(axis=0))
     colours = colours_of_cost(norm)
     return [DrawnMap(norm, colours), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
