@@ -271,3 +271,7 @@ def test_wrong_input_is_refused_in_one_sentence_and_nothing_is_written(
         call(Scene(request))
     assert "\n" not in str(refused.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_one_weight_may_be_named_by_its_name_alone():
+    assert ju.studies.SensitivitySettings(vary="gps").vary == ("gps",)

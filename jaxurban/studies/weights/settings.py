@@ -13,8 +13,8 @@ class SensitivitySettings:
     """What is asked of every route of a study of weights.
 
     Attributes:
-      vary: names of weights; left out: all metrics of a route's maps whose weight is above 0. The distance keeps its
-        weight as the unit unless it is named, since only ratios of weights choose a route.
+      vary: name of a weight, or of several; left out: all metrics of a route's maps whose weight is above 0. The
+        distance keeps its weight as the unit unless it is named, since only ratios of weights choose a route.
       factors: breakpoints are looked for from the first to the second of these times each weight.
       wrong: factor by which a wrong weight is too large or too small.
       num_heights: draws of all heights, on the maps of each of which every route is planned too.
@@ -41,6 +41,8 @@ class SensitivitySettings:
         """Check all numbers; names are checked against the maps when the study runs."""
         at_least("seed", self.seed)
         at_least("height_seed", self.height_seed)
+        if isinstance(self.vary, str):  # which is a sequence of letters too
+            object.__setattr__(self, "vary", (self.vary,))
         if len(set(self.vary)) < len(self.vary):
             raise InputError(f"vary must name each weight once, got {', '.join(self.vary)}")
         factors: tuple[float, ...] = self.factors
