@@ -23,7 +23,7 @@ from jaxurban.flights.legs import Flight, flight_of
 from jaxurban.flights.missions.mission import read_mission
 from jaxurban.flights.missions.parts import Datum, FlownBy, Leg, LonLat, Mission, Place
 from jaxurban.io.city import City
-from jaxurban.io.zone import unknown_cautions
+from jaxurban.io.zone import check_reach, unknown_cautions
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.knowledge import GuessKind
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -144,6 +144,7 @@ def check(
     zones = (*limits.zones, *mission.zones)
     _, _, limits = rules_on(maps, None, replace(limits, zones=zones), "")
     limits = _in_force(limits, named_times)
+    check_reach(limits.zones, maps.grid)
     num_in_force = sum(zone.state != "open" for zone in limits.zones)
     figures = {"num_zones": len(zones), "num_zones_in_force": num_in_force}
 

@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from shapely import affinity
 
-from jaxurban.errors import InputError
+from jaxurban.errors import IgnoredZoneWarning, InputError, warn
 from jaxurban.knowledge import Caution
 from jaxurban.public import listed
 from jaxurban.world.extent import polygonal
@@ -152,6 +152,29 @@ def unknown_cautions(zones: Sequence[Zone]) -> list[Caution]:
         "draw them as polygons, or remove those that close nothing there."
     )
     return [Caution(sentence, "guess", "not judged")] if labels else []
+
+
+def check_reach(zones: Sequence[Zone], grid: Grid) -> None:
+    """Warn where zones are closed and none of them reaches a grid, so that they close nothing there.
+
+    Raises:
+      InputError: one of them would reach it with longitude and latitude swapped.
+    """
+    closed = [zone for zone in zones if zone.state == "closed"]
+    if not closed or any(not zone.part_on(grid).is_empty for zone in closed):
+        return
+    for zone in closed:
+        swapped = replace(zone, polygon=shapely.transform(zone.polygon, lambda xy: xy[:, ::-1]))
+        if not swapped.part_on(grid).is_empty:
+            raise InputError(
+                f"longitude and latitude of the no-fly zone {zone.label} look swapped, as it lies in the maps' region "
+                "the other way round: give longitude first, or leave the zone out if it does lie elsewhere"
+            )
+    files = ", ".join(sorted({repr(zone.source) for zone in closed}))
+    sentence = (
+        f"no zone of {files} lies in the maps' region, so that nothing is closed: check the file"
+    )
+    warn(sentence, IgnoredZoneWarning)
 
 
 def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxurban import wings
 from jaxurban.checks import nearest_name, typed
 from jaxurban.errors import IgnoredZoneWarning, InputError, warn
-from jaxurban.io.zone import Zone, cell_boxes, touched_cells
+from jaxurban.io.zone import Zone, cell_boxes, check_reach, touched_cells
 from jaxurban.kernels.tolerances import FILE_MARGIN_M
 from jaxurban.maps.levels import around
 from jaxurban.paths.clearance import (
@@ -521,8 +521,7 @@ class Constraints:
     def _closed_by_zones(self, grid: Grid, levels_m: np.ndarray) -> np.ndarray:
         """Return ``[K, Y, X]`` bool: the cells that zones close on each of ``[K]`` ascending levels (see `closed`).
 
-        Warns:
-          IgnoredZoneWarning: there are zones, and none of them reaches the grid.
+        Warns and raises as `check_reach`.
         """
         next_level_m = np.append(levels_m[1:], levels_m[-1])  # none lies above the last
         closed = np.zeros((len(levels_m), *grid.shape), bool)
@@ -538,11 +537,8 @@ class Constraints:
             is_closed_level = holds_level | lies_above_level
             if is_closed_level.any():
                 closed[is_closed_level] |= touched_cells(zone_m, grid)
-        sources = {repr(zone.source) for zone in self.zones if zone.state == "closed"}
-        if sources and not reaches_grid:
-            files = ", ".join(sorted(sources))
-            sentence = f"no zone of {files} lies in the maps' region, so that nothing is closed: check the file"
-            warn(sentence, IgnoredZoneWarning)
+        if not reaches_grid:
+            check_reach(self.zones, grid)
         return closed
 
     def reasons(

@@ -94,6 +94,21 @@ def test_no_planner_enters_a_zone_or_breaks_a_bound(maps, ends, planner, require
         assert kept.buffer(1e-6).covers(line)
 
 
+def test_zones_with_swapped_coordinates_are_refused_by_plans_and_checks(maps, ends):
+    lon, lat = maps.grid.centre_lonlat
+    swapped = Zone(
+        "yard", shapely.box(lat - 0.001, lon - 0.001, lat + 0.001, lon + 0.001), source="z.geojson"
+    )
+    constraints = ju.Constraints((swapped,))
+    path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M)
+    for judge in (
+        lambda: ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints),
+        lambda: ju.check(maps, path, constraints=constraints),
+    ):
+        with pytest.raises(ju.InputError, match=r"of 'z\.geojson' look swapped"):
+            judge()
+
+
 def test_constraints_that_close_nothing_change_nothing(maps, ends):
     far = Zone("far", shapely.box(10, 10, 11, 11), source="far.kml")
     high = zone_of_cells(maps, 0, 0, 80, floor_m=500.0)
