@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from jaxurban.checks import at_least, positive, typed
 from jaxurban.errors import InputError
@@ -41,8 +42,9 @@ class SensitivitySettings:
         """Check all numbers; names are checked against the maps when the study runs."""
         at_least("seed", self.seed)
         at_least("height_seed", self.height_seed)
-        if isinstance(self.vary, str):  # which is a sequence of letters too
-            object.__setattr__(self, "vary", (self.vary,))
+        vary: Any = self.vary
+        if isinstance(vary, str):  # which is a sequence of letters too
+            object.__setattr__(self, "vary", (vary,))
         if len(set(self.vary)) < len(self.vary):
             raise InputError(f"vary must name each weight once, got {', '.join(self.vary)}")
         factors: tuple[float, ...] = self.factors
