@@ -274,8 +274,10 @@ def _fitted(plot, case: Case) -> Figure:
     table = pd.DataFrame({"weight": weight, "low": weight / 3, "high": 4 * weight}, names)
     table.iloc[1, 1:] = np.nan
     table.iloc[2, :2] = 0.0
+    table["pilot"] = case.pick(np.nan, 1.5 * weight)
     table["unit"] = ["per metre", *["per 5 m flown"] * (len(names) - 1)]
-    return plot(SimpleNamespace(table=table))
+    is_open = SimpleNamespace(needed=np.nan, what=case.pick((), names[2:3]))
+    return plot(SimpleNamespace(table=table, verdicts=[is_open]))
 
 
 def _imitated(plot, case: Case) -> Figure:
