@@ -133,6 +133,8 @@ def check(
         "autopilot": autopilot,
     }
     mission = _mission_of(mission, values_given(of_file), home_above_ground_m)
+    if home is not None and maps.grid.is_swapped(*home[:2]):
+        raise InputError(f"home: {maps.grid.outside_said(*home[:2])}")
     if geoid_m is not None:
         _check_geoid(mission, geoid_m)
     named_times = () if time is None else as_tuple(time)

@@ -903,3 +903,16 @@ def test_what_is_flown_into_is_named_by_its_kind_by_outlines_and_by_cells():
         ]
         wire = "below or beside a wire, whose height is taken as 10.0 m"
         assert told(9.0, (100, 190), (100, 170), sources=sources) == [wire]
+
+
+def test_a_home_with_swapped_coordinates_is_refused(scene, tmp_path):
+    lon, lat = scene.maps.grid.centre_lonlat
+    path = tmp_path / "line.kml"
+    path.write_text(
+        '<kml xmlns="http://www.opengis.net/kml/2.2"><Placemark><LineString><coordinates>'
+        f"{lon},{lat},60 {lon + 1e-3},{lat},60</coordinates></LineString></Placemark></kml>"
+    )
+    how = {"heights": "home", "sources": scene.city}
+    assert ju.check(scene.maps, path, home=(lon, lat), **how).sentence
+    with pytest.raises(ju.InputError, match=r"^home: .*longitude and latitude look swapped"):
+        ju.check(scene.maps, path, home=(lat, lon), **how)
