@@ -189,7 +189,7 @@ THINGS: dict[str, Gives] = {
     "seamark:type: platform": TOWER,
     "seamark:type: pylon": PYLON,
     "seamark:type: radar_station radar_transponder building fortified_structure signal_station_traffic "
-    "signal_station_warning coastguard_station pilot_boarding rescue_station": UNLISTED,
+    "signal_station_warning coastguard_station rescue_station": UNLISTED,
     "seamark:type: crane": CRANE,
     "seamark:type: cable_overhead": POWER_LINE,
     "seamark:type: pipeline_overhead conveyor": UNLISTED,
@@ -197,7 +197,7 @@ THINGS: dict[str, Gives] = {
     "advertising: column": LAMP,
     "memorial: statue obelisk column tower arch monument cenotaph mausoleum pyramid bell_tower": MONUMENT,
     "memorial: war_memorial sculpture stele cross pavilion aircraft vehicle ship building chapel gate wall lantern "
-    "prow mosaic_tower flagpole anchor crucifix torii lych_gate": SLENDER,
+    "prow flagpole anchor crucifix torii lych_gate": SLENDER,
     "artwork of unknown type": UNLISTED,
     "artwork_type: *": UNLISTED,
     "artwork_type: statue obelisk column tower arch monument": MONUMENT,

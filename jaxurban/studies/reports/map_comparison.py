@@ -94,8 +94,10 @@ def plot_difference(result: MapComparison, layer: str, **form: Unpack[MapForm]) 
 
 def _by_altitude(routes: pd.DataFrame) -> pd.DataFrame:
     """Return a row per altitude of the routes of a comparison; none where there are no routes."""
-    rows = []
-    for altitude_m, each in routes.groupby("altitude_m") if len(routes) else ():
+    rows: list[dict[str, float]] = []
+    if routes.empty:
+        return pd.DataFrame(rows)
+    for altitude_m, each in routes.groupby("altitude_m"):
         regret = effects(100 * each[["regret"]], Clusters(each.pair), least=0.0).loc["regret"]
         row = {
             "altitude_m": altitude_m,
