@@ -17,9 +17,9 @@ import tomli_w
 from jaxurban.checks import one_of
 from jaxurban.cities.census import read_blocks, read_districts
 from jaxurban.cities.download import Source, cache_folder, download
-from jaxurban.cities.kinds import WATERS, Nothing
+from jaxurban.cities.kinds import NOT_BUILT, STANDING, WATERS, Nothing
 from jaxurban.cities.osm import MAYBE, read_osm
-from jaxurban.cities.rules import BY_VALUE, OF_AREAS, RULES
+from jaxurban.cities.rules import BY_VALUE, LIVES, OF_AREAS, RULES
 from jaxurban.errors import InputError, readable
 from jaxurban.io.broken import BROKEN
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, only_writer, sweep_scraps
@@ -103,8 +103,11 @@ for key, rules in BY_VALUE.items():
     nothing = {value for value, name in rules.items() if isinstance(RULES[name], Nothing)}
     SOME.append(("nwr", key, [value for value in rules if value not in of_areas | nothing]))
     AREAS += [key] if of_areas else []
+LIFE = (*STANDING, *NOT_BUILT)
+AS_THEY_ARE = [key for key in MAYBE if not key.startswith(("barrier", *LIFE))]
 ASKED = (
-    *(f'nwr["{key}"];' for key in MAYBE if key != "barrier"),
+    *(f'nwr["{key}"];' for key in AS_THEY_ARE),
+    f'nwr[~"^({"|".join(LIFE)}):({"|".join(LIVES)})$"~"."];',
     'nwr["barrier"]["barrier"!~"^(fence|hedge|kerb|bollard|gate)$"];',
     *(f'{what}["{key}"~"^({"|".join(values)})$"];' for what, key, values in SOME if values),
     'way["highway"]["layer"~"^[1-9]"];way["railway"]["layer"~"^[1-9]"];',

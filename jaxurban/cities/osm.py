@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import osmium
 import shapely
-from osmium.filter import EmptyTagFilter, EntityFilter, KeyFilter
+from osmium.filter import EmptyTagFilter, KeyFilter, TagFilter
 from osmium.geom import use_nodes
 
 from jaxurban.cities.columns import ROUGH, tags_of
@@ -29,7 +29,7 @@ Values = dict[str, frozenset[str]]  # by key
 BUILDINGS = ("building", "building:part")  # keys
 MAYBE = (  # keys of what may stand
     *(*BUILDINGS, "building:levels", "height", "building:height", *ROUGH, *KINDS),
-    *(f"{life}:{key}" for key, lives in LIVES.items() for life in lives),
+    *(f"{life}:{key}" for key, lives in LIVES.items() if key not in BY_VALUE for life in lives),
     *(f"{life}:building" for life in NOT_BUILT),
 )
 SURE = {*MAYBE} - {"barrier"}  # whatever their value is
@@ -37,14 +37,17 @@ LOW_BARRIERS = {
     value for value, name in KINDS["barrier"].items() if isinstance(THINGS[name], Nothing)
 }
 # Values of keys of which others do not stand; what is water says which bridges cross it.
-SOME = {key: frozenset({*rules, *WATERS.get(key, ())}) for key, rules in BY_VALUE.items()}
+SOME: Values = {}
 # Of points, lines and what is cut the names of grounds, places and low things are left out: there are many.
 OF_OUTLINES: Values = {}
 OF_POINTS: Values = {}
 for key, rules in BY_VALUE.items():
+    alone = {value for value, name in rules.items() if name in ALONE}
     of_areas = {value for value, name in rules.items() if OF_AREAS in name}
-    OF_OUTLINES[key] = SOME[key] - {value for value, name in rules.items() if name in ALONE}
-    OF_POINTS[key] = OF_OUTLINES[key] - of_areas
+    for tag in key, *(f"{life}:{key}" for life in LIVES.get(key, ())):
+        SOME[tag] = frozenset({*rules, *WATERS.get(key, ())})
+        OF_OUTLINES[tag] = SOME[tag] - alone
+        OF_POINTS[tag] = OF_OUTLINES[tag] - of_areas
 METHODS = ("source:height", "height:source")  # which say how a height is known
 OF_ALL = ("height", "est_height", "location", "level", "layer", *METHODS)
 OF_BUILDINGS = (  # what `COLUMNS` sorts, of buildings
@@ -80,7 +83,9 @@ MAY_STAND_OR_TYPE.enable_for(osmium.osm.RELATION)
 POINTS = KeyFilter(*(key for key in KEYS if key != "amenity" and OF_POINTS.get(key, True)))
 POINTS.enable_for(osmium.osm.NODE)
 LAMPS = KeyFilter("highway", "amenity")  # of nodes
-NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
+# Of ways the first reading takes those alone that have such a value of the key of streets.
+NO_STREETS = TagFilter(*(("highway", value) for value in sorted(SOME["highway"])))
+NO_STREETS.enable_for(osmium.osm.WAY)
 
 
 def read_osm(path: str | Path) -> Outlines:
@@ -121,6 +126,7 @@ class _Objects:
       missing: ways that lack nodes.
       degenerate: closed ways of buildings that enclose nothing.
       cut: outlines that lack nodes or ways, and would stand as areas alone.
+      of_streets: the ids of ways that may stand by the key of streets, as gantries do.
       wanted: the ids of ways whose lines are needed.
       lines: of ways, by id.
       ways_of: the ids of the ways of what has no shape.
@@ -134,6 +140,7 @@ class _Objects:
         self.shapes: dict[Key, str] = {}
         self.areas, self.closed, self.open_ways, self.missing = (set[Key]() for _ in range(4))
         self.cut: set[Key] = set()
+        self.of_streets: set[int] = set()
         self.wanted: set[int] = set()
         self.lines: dict[int, shapely.Geometry] = {}
         self.ways_of: dict[Key, list[int]] = {}
@@ -147,13 +154,16 @@ class _Objects:
 
     def _read_objects(self, path: str | Path) -> None:
         """Read what may stand, and relations of buildings."""
-        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(NO_WAYS)
+        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(NO_STREETS)
         for of_it in EmptyTagFilter(), MAY_STAND_OR_TYPE, POINTS:
             processor = processor.with_filter(of_it)
         self.places: Any = processor.node_location_storage
         item: Any
         for item in processor:
             kind = item.type_str()
+            if kind == "w":
+                self.of_streets.add(item.id)
+                continue
             if kind == "a":
                 key = "w" if item.from_way() else "r", item.orig_id()
                 self.areas.add(key)
@@ -183,7 +193,7 @@ class _Objects:
         """Keep the line of a way that is asked for, and gantries, for which pyosmium calls this too."""
         if way.id in self.wanted:
             self._keep_line(way)
-        if _is_among(way.tags.get("highway", ""), SOME["highway"]):
+        if way.id in self.of_streets:
             self._keep_way(way)
 
     def _keep_way(self, way: Any) -> None:

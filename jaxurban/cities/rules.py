@@ -214,6 +214,8 @@ THINGS: dict[str, Gives] = {
     "railway of lone things: engine_shed roundhouse signal_box workshop": BUILDING,
     "leisure of lone things: sports_hall": BUILDING,
     "leisure of lone things: stadium grandstand arena": LARGE,
+    "piste:type: ski_jump": LARGE,
+    "communication:mobile_phone of lone points: yes": unknown(100.0, 5.0),
     "leisure of lone points: stadium arena": unknown(LARGE.limit_m, 100.0, LARGE.source),
     "leisure of lone things: water_park water_slide high_ropes_course adventure_park": UNLISTED,
     "leisure of lone things: bleachers bandstand bird_hide wildlife_hide": SHED,
@@ -408,10 +410,14 @@ for name in RULES:
         VALUES.setdefault(key, {})[value] = name
         OF_KEYS.setdefault(key.partition(" of ")[0], {})[value] = name
 KINDS = {key: rules for key, rules in VALUES.items() if "*" in rules}
-# What comes before keys of what is not in use, or not yet, and stands.
-LIVES = {key: STANDING if key in OF_LIFE else NOT_IN_USE for key in ("building", *KINDS)}
 IN_WORDS = {key: VALUES[key] for key in OWN_KEYS}
 BY_VALUE = {key: rules for key, rules in OF_KEYS.items() if key not in KINDS | IN_WORDS}
+OF_USE = (  # keys by value of what may be out of use, and stands
+    *("aeroway", "amenity", "leisure", "military", "office", "railway", "shop", "tourism"),
+)
+# What comes before keys of what is not in use, or not yet, and stands.
+LIVES = dict.fromkeys(("building", *KINDS, *OF_USE), NOT_IN_USE)
+LIVES |= dict.fromkeys(OF_LIFE, STANDING)
 
 
 def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ import re
 import tempfile
 import tomllib
 from datetime import UTC, date, datetime
+from itertools import product
 from urllib.parse import unquote
 
 import geopandas as gpd
@@ -18,7 +19,8 @@ import jaxurban as ju
 from figures.paper.common import population_totals
 from jaxurban.cities.fetch import SOURCES, FetchJob
 from jaxurban.cities.kinds import WATERS, Nothing
-from jaxurban.cities.rules import BY_VALUE, KINDS, OF_AREAS, RULES
+from jaxurban.cities.osm import MAYBE
+from jaxurban.cities.rules import BY_VALUE, LIVES, OF_AREAS, RULES
 from jaxurban.io.ephemerides import timescale
 from jaxurban.io.files import only_writer
 from jaxurban.io.nominal import nominal_satellites
@@ -249,7 +251,10 @@ def asked_of(url):
     """Keys that a URL of the Overpass API asks for, and pairs of keys and values."""
     statements = re.findall(r'nwr\["([^"]+)"(?:~"\^\(([^)]+)\)\$")?\]', unquote(url))
     pairs = {(key, value) for key, values in statements for value in values.split("|")}
-    return {key for key, values in statements if not values}, {each for each in pairs if each[1]}
+    keys = {key for key, values in statements if not values}
+    lives, of_lives = re.findall(r'nwr\[~"\^\(([^)]+)\):\(([^)]+)\)\$"~"."\]', unquote(url))[0]
+    keys |= {":".join(pair) for pair in product(lives.split("|"), of_lives.split("|"))}
+    return keys, {each for each in pairs if each[1]}
 
 
 BESIDE = {  # what stands beside houses, and what does not
@@ -271,7 +276,8 @@ def test_trees_wires_and_all_that_the_reader_knows_are_asked_for_and_stand(
 ):
     url = FetchJob(BOUNDS).requests()[0].url
     keys, pairs = asked_of(url)
-    assert keys >= KINDS.keys() - {"barrier"}
+    assert keys >= {*MAYBE} - {"barrier"}
+    assert keys >= {f"{life}:{key}" for key, lives in LIVES.items() for life in lives}
     for key, rules in BY_VALUE.items():
         for value, name in rules.items():
             if OF_AREAS in name:

@@ -96,6 +96,13 @@ def stand(*features, **rules):
         (WAY, {"abandoned:barrier": "city_wall"}, "unknown", 0, 30, 120 + np.pi * 4),
         (PLACE, {"disused:bridge:support": "pylon"}, "unknown", 0, 350, np.pi * 25),
         (AREA, {"abandoned:historic": "castle"}, "unknown", 0, 50, 100),
+        (PLACE, {"disused:railway": "water_tower"}, "mast", 30, np.inf, np.pi * 25),
+        (AREA, {"abandoned:leisure": "stadium"}, "unknown", 0, 150, 100),
+        (AREA, {"abandoned:military": "bunker"}, "unknown", 0, 100, 180 + np.pi * 4),
+        (AREA, {"disused:shop": "supermarket"}, "unknown", 0, 100, 180 + np.pi * 4),
+        # Towers of ski jumps, and what carries antennas.
+        (WAY, {"piste:type": "ski_jump"}, "unknown", 0, 150, 300 + np.pi * 25),
+        (PLACE, {"communication:mobile_phone": "yes"}, "unknown", 0, 100, np.pi * 25),
         # Not a form of the land; a height in words; a generator, of wind perhaps; a shaft, and a booth.
         (PLACE, {"natural": "arch", "height": "25"}, "structure", 25, 25, np.pi),
         (PLACE, {"tourism": "artwork", "height": "tall"}, "unknown", 0, 50, np.pi),
@@ -427,6 +434,7 @@ def test_an_unknown_barrier_fills_its_area_and_its_border_is_as_thick_as_a_line(
         (YARD, {"shop": "mall", "building:levels": "6"}, "building", 18, 46),
         (YARD, {"aeroway": "terminal"}, "building", 10, 100),
         (YARD, {"aeroway": "hangar", "height": "18"}, "building", 18, 18),
+        (YARD, {"disused:aeroway": "hangar", "height": "18"}, "building", 18, 18),
         (YARD, {"railway": "signal_box"}, "building", 10, 100),
         (PLACE, {"aeroway": "hangar"}, "unknown", 0, 100),
         # Premises, of which the building may be a part, by their size.
