@@ -15,11 +15,16 @@ from jaxurban.cities.heights import (
     read_column,
     with_decks,
 )
-from jaxurban.cities.kinds import ABOVE_LEVELS_M, LEVEL_LIMIT_M, LIMIT_M, LOW_BUILDINGS, ROUGH_LIMIT
+from jaxurban.cities.kinds import LIMIT_M, LOW_BUILDINGS, ROUGH_LIMIT
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.solids import DIFFER_M, prisms_of_solids
 from jaxurban.cities.stands import is_water, what_stands
-from jaxurban.cities.structures import lengths_m, limits_by_name_m, to_structures
+from jaxurban.cities.structures import (
+    lengths_m,
+    limits_by_levels_m,
+    limits_by_name_m,
+    to_structures,
+)
 from jaxurban.errors import InputError
 from jaxurban.io.issues import ReadIssue, ReadIssues, num_of
 from jaxurban.io.learned import (
@@ -319,14 +324,12 @@ def _limits_m(
       highest_m, likely_m: ``[B]`` of their classes. What names call low is bounded by the highest that the file knows;
         others have no bound where higher ones are known, likely or estimated, as nothing says how high a tower is.
     """
-    num_levels = (buildings.height_m - buildings.min_height_m) / rules.level_height_m
     by_name_m = np.maximum(limits_by_name_m(found, LIMIT_M), found.tags["kind_limit_m"])
     is_low = by_name_m < LIMIT_M
     is_higher = np.fmax(highest_m, likely_m) > by_name_m
     bounds_m = [np.maximum(by_name_m, highest_m), np.inf]
     of_class_m = np.select([is_low, is_higher], bounds_m, by_name_m) + found.tags["rise_m"]
     limits_m = {
-        HeightOrigin.LEVELS: LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M,
         HeightOrigin.DEFAULT: of_class_m,
         HeightOrigin.ROUGH: np.maximum(ROUGH_LIMIT * buildings.height_m, of_class_m),
         HeightOrigin.ESTIMATED: np.where(
@@ -337,7 +340,8 @@ def _limits_m(
     }
     of_origin = [buildings.origin == origin for origin in limits_m]
     above_m = np.select(of_origin, list(limits_m.values()), np.inf)
-    return buildings.min_height_m + above_m
+    of_levels_m = limits_by_levels_m(buildings, rules.level_height_m)
+    return np.where(np.isnan(of_levels_m), buildings.min_height_m + above_m, of_levels_m)
 
 
 def _beside_parts(

@@ -12,12 +12,14 @@ from jaxurban import settings
 from jaxurban.cities.bridges import DECK, KindSizes, bridges_of
 from jaxurban.cities.heights import estimate_heights, parse_length_m, read_column
 from jaxurban.cities.kinds import (
+    ABOVE_LEVELS_M,
     BRIDGE,
     CROWN_SHARE,
     FENCE,
     GUYS_SHARE,
     HISTORIC,
     HULL,
+    LEVEL_LIMIT_M,
     LIMIT_M,
     LOW_BUILDINGS,
     LOW_LIMIT_M,
@@ -54,6 +56,7 @@ class _Others(NamedTuple):
       stated: with the heights that the file says.
       has_height: where that is one that can be read; elsewhere it has no meaning.
       measured_m: the height that the file gives of all of it, 0 without one; bridges name that of their deck.
+      levels_limit_m: the bound by a number of levels, NaN without one.
       guess_m, likely_m: what is learned by name, NaN where the height is known or nothing is learned.
     """
 
@@ -65,6 +68,7 @@ class _Others(NamedTuple):
     stated: Footprints
     has_height: np.ndarray
     measured_m: np.ndarray
+    levels_limit_m: np.ndarray
     guess_m: np.ndarray
     likely_m: np.ndarray
 
@@ -132,6 +136,7 @@ def _others_of(
         stated=stated,
         has_height=has_height,
         measured_m=measured_m,
+        levels_limit_m=limits_by_levels_m(stated, file.level_height_m),
         guess_m=np.where(has_height, np.nan, of_classes(learned, names, "guess_m")),
         likely_m=np.where(is_settled, np.nan, _likely_m(outlines, learned, names)),
     )
@@ -221,6 +226,8 @@ def _bound_m(others: _Others) -> np.ndarray:
     hull_m2 = shapely.area(shapely.convex_hull(others.outlines.polygons))
     of_hulls_m = np.where(hull_m2 >= CLASSES_M2[1], np.inf, LIMIT_M)
     of_hulls_m = limits_by_name_m(others.outlines, of_hulls_m)
+    has_levels = np.isfinite(others.levels_limit_m)
+    of_hulls_m = np.where(has_levels, others.levels_limit_m, of_hulls_m)
     of_hulls_m = np.fmax(of_hulls_m, tags["kind_limit_m"]) + tags["rise_m"]
     of_others_m = np.fmax(others.sizes.limit_m, tags["kind_limit_m"])
     of_kind_m = np.where(others.kinds == HULL, of_hulls_m, of_others_m)
@@ -237,6 +244,18 @@ def _bound_m(others: _Others) -> np.ndarray:
 def limits_by_name_m(outlines: Outlines, others_m: float | np.ndarray) -> np.ndarray:
     """Return ``[N]`` the bound of buildings of unknown height by what their tag calls them, and of others."""
     return np.where(outlines.says("building", LOW_BUILDINGS.split()), LOW_LIMIT_M, others_m)
+
+
+def limits_by_levels_m(footprints: Footprints, level_height_m: float) -> np.ndarray:
+    """Return ``[N]`` the bound of what has a number of levels, NaN of all else.
+
+    Args:
+      footprints: with the heights that the file says.
+      level_height_m: height of one level, by which levels became heights.
+    """
+    num_levels = (footprints.height_m - footprints.min_height_m) / level_height_m
+    limit_m = footprints.min_height_m + LEVEL_LIMIT_M * num_levels + ABOVE_LEVELS_M
+    return np.where(footprints.origin == HeightOrigin.LEVELS, limit_m, np.nan)
 
 
 def _kind(others: _Others) -> np.ndarray:

@@ -180,6 +180,8 @@ def stand(*features, **rules):
         # A building that is not whole: the hull of what is known of it.
         (LineString([(0, 0), (10, 0), (10, 10)]), {"building": "yes"}, "unknown", 0, 100, 130.8),
         (PLACE, {"building": "garage"}, "unknown", 0, 25, np.pi * 4),
+        # Its levels bound it as they bound a whole one.
+        (WAY, {"building": "yes", "building:levels": "7"}, "structure", 21, 52, 120 + np.pi * 4),
     ],
 )
 def test_structures_stand_with_a_height_or_an_upper_bound(
