@@ -416,7 +416,7 @@ OF_USE = (  # keys by value of what may be out of use, and stands
     *("aeroway", "amenity", "leisure", "military", "office", "railway", "shop", "tourism"),
 )
 # What comes before keys of what is not in use, or not yet, and stands.
-LIVES = dict.fromkeys(("building", *KINDS, *OF_USE), NOT_IN_USE)
+LIVES: dict[str, tuple[str, ...]] = dict.fromkeys(("building", *KINDS, *OF_USE), NOT_IN_USE)
 LIVES |= dict.fromkeys(OF_LIFE, STANDING)
 
 
