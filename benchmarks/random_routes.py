@@ -43,11 +43,15 @@ from jaxurban.paths.places import XY
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.typing import PlannedPath
 from jaxurban.world.footprints import Footprints
+from jaxurban.world.grid import Grid
 from tests.free_space import Obstacles
 
 ALTITUDE_M, LEAST_APART_M, SPEED_M_S, BUDGET_S = 20.0, 300.0, 8.0, 0.3
 TOUCH_M = 1e-5  # outlines are drawn in by this much, so that a route along a wall is not inside it
 STEP_M = 0.25  # between the points whose depth is measured
+ENDS_APART_M = (
+    8.0  # of missions from roofs: the widest clearance, and as far as a home lies beside its cell
+)
 RULES: dict[str, tuple[str, dict[str, float]]] = {  # of obstacles, and the clearances
     "centre": ("centre", {"vertical_clearance_m": 0.0}),
     "touched": ("touched", {"vertical_clearance_m": 0.0}),
@@ -249,6 +253,14 @@ def zones_over(scene: Scene, resolution_m: float, rng: np.random.Generator) -> t
     return tuple(Zone(f"zone {k}", shape, scene.place.crs) for k, shape in enumerate(shapes))
 
 
+def on_the_ground(cells: np.ndarray, grid: Grid, buildings: Footprints) -> np.ndarray:
+    """Return those of ``[N, 2]`` rows and columns that are `ENDS_APART_M` from all roofs, as missions land there."""
+    places = shapely.points(np.array([grid.xy_of_cell(*cell) for cell in cells.tolist()]))
+    tree = shapely.STRtree(buildings.polygons)
+    near, _ = tree.query(places, predicate="dwithin", distance=ENDS_APART_M)
+    return np.delete(cells, near, axis=0)
+
+
 def fly(city: str, rules: list[str], num_pairs: int, resolution_m: float) -> pd.DataFrame:
     """Return a row for each route over a city: rule, planner, pair, and what is measured of it."""
     try:
@@ -267,6 +279,7 @@ def fly(city: str, rules: list[str], num_pairs: int, resolution_m: float) -> pd.
     closed = {key: closed_cells(each) for key, each in on.items()}
     islands, _ = label(np.logical_and.reduce([on[rule, True].is_free for rule in rules]))
     cells = np.argwhere(islands == np.argmax(np.bincount(islands[islands > 0])))
+    cells = on_the_ground(cells, maps.grid, scene.city.buildings)
     pairs = cells[rng.integers(len(cells), size=(20 * num_pairs, 2))]
     pairs = pairs[np.hypot(*(pairs[:, 1] - pairs[:, 0]).T) * resolution_m >= LEAST_APART_M][
         :num_pairs
