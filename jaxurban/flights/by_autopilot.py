@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-ALONG = ["along_m", "to_m", "autopilot"]  # by which findings differ that are one
+# By which rows differ that are one.
+ALONG = ["along_m", "to_m", "where", "autopilot"]
 DECIMALS = 6
 
 

@@ -14,11 +14,11 @@ import shapely
 from jaxurban.checks import finite, typed, values_given
 from jaxurban.errors import InputError
 from jaxurban.flights.by_autopilot import as_one, concatenated
-from jaxurban.flights.check_result import MissionCheck, flown_by
-from jaxurban.flights.contacts import Prisms, buildings_of, union_m
+from jaxurban.flights.check_result import MissionCheck, begins_said, flown_by
+from jaxurban.flights.contacts import Prisms, buildings_of
 from jaxurban.flights.flown import figures_of
 from jaxurban.flights.item_returns import by_item, departures_of, return_lines
-from jaxurban.flights.judge import SPAN, below_home, judged, placed
+from jaxurban.flights.judge import SPAN, below_home, judged, placed, unjudged_stretches
 from jaxurban.flights.legs import Flight, flight_of
 from jaxurban.flights.missions.mission import read_mission
 from jaxurban.flights.missions.parts import Datum, FlownBy, Leg, LonLat, Mission, Place
@@ -157,16 +157,16 @@ def check(
     if city and not standing.reason:  # a raster of plants is looked at in the maps' cells alone
         known = shapely.intersection(known, city.known_ground) if city.plants else city.known_ground
     buildings = buildings_of(maps, city)
-    found, unknown, flown, departures = {}, {}, {}, []
+    found, unknown, unjudged, flown, departures = {}, {}, {}, {}, []
     for name, way in mission.ways.items():
         flight = flight_of(way, Elevation(maps, city), geoid_m)
         findings, parts = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
         numbers = figures | figures_of(flight, maps, times, time_of_day)
         exceeded, open_limits = _against_maxima(flight, numbers, max_no_fix_m, max_people)
         open_limits += unknown_cautions(limits.zones)
-        sentences = _not_judged(maps, standing, flight, buildings, parts, open_limits)
         found[name] = concatenated([findings, exceeded])
-        unknown[name] = pd.DataFrame({"what": sentences})
+        unjudged[name] = unjudged_stretches(parts, flight)
+        unknown[name] = _not_judged(maps, standing, flight, buildings, unjudged[name], open_limits)
         flown[name] = flight, numbers
         departures.append(departures_of(flight, buildings, known, limits))
 
@@ -176,7 +176,9 @@ def check(
     returns = pd.concat(departures)
     return MissionCheck(
         findings=as_one(found),
-        not_judged=[*map(flown_by, not_judged["autopilot"], not_judged["what"])],
+        not_judged=[
+            *map(flown_by, not_judged["autopilot"], not_judged["what"] + not_judged["where"])
+        ],
         figures=numbers,
         outlines=standing.outlines + flight.ground_note,
         limits=limits.to_dict(),
@@ -186,6 +188,7 @@ def check(
         left_out=left_out(maps, city),
         return_altitudes=by_item(returns),
         return_lines=return_lines(returns, flight, ceiling_m),
+        unjudged=as_one(unjudged),
     )
 
 
@@ -219,17 +222,19 @@ def _not_judged(
     standing: Standing,
     flight: Flight,
     buildings: Prisms,
-    unknown: pd.DataFrame,
+    unjudged: pd.DataFrame,
     open_limits: list[str],
-) -> list[str]:
+) -> pd.DataFrame:
     """Return sentences on what of a flight cannot be judged, by the maps, by its mission and by limits.
+
+    The columns are ``what``, and ``where`` it begins along the mission, ``""`` of what has no place.
 
     Args:
       maps: the maps.
       standing: what is known of what stands on them.
       flight: over the maps.
       buildings: that it was judged against.
-      unknown: the parts of it that are not judged, with the ``reason`` of each (`judged`).
+      unjudged: its stretches that are not judged (`unjudged_stretches`).
       open_limits: sentences on limits that are not judged.
     """
     mission = flight.mission
@@ -252,15 +257,20 @@ def _not_judged(
         sentences.append(
             f"{mission.num_lost:,} things of the file are in no leg and in no reason here."
         )
-    for reason, rows in unknown.groupby("reason", sort=False):
-        sentences.append(f"{union_m(rows):,.0f} m {reason}.")
+    where = {}
+    for reason, rows in unjudged.groupby("reason", sort=False):
+        sentence = f"{(rows['to_m'] - rows['along_m']).sum():,.0f} m {reason}."
+        sentences.append(sentence)
+        where[sentence] = begins_said(rows)
     sentences += open_limits
     for guess in maps.guesses:
         if standing.reason and guess.kind is GuessKind.WITHOUT_DATA:
             sentences.append(
                 f"The city is gone, and with it where what it leaves open lies: {guess.name}."
             )
-    return sentences
+    return pd.DataFrame(
+        {"what": sentences, "where": [where.get(text, "") for text in sentences]}, dtype=object
+    )
 
 
 def _mission_of(

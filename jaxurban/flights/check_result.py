@@ -51,7 +51,7 @@ class MissionCheck(Result):
         far to go to the right, or to the left where it is negative), NaN where none is known; ``autopilot``, the only
         one that meets it (``""``: all that it is judged for). A limit, for which no way out is looked for, is placed
         where the fix is first and last lost, or at the densest kilometre.
-      not_judged: sentences.
+      not_judged: sentences, of stretches with the place at which the first begins.
       figures: lengths, metres without a fix, people, and clearances by cells, as in the report of a route.
       outlines: ``"exact outlines"``, or ``"by cells"``, with the reason.
       limits: the constraints, as `Constraints.to_dict` has them.
@@ -65,6 +65,9 @@ class MissionCheck(Result):
         everything, up to the bound of guessed heights (NaN where that is not known), and ``way_m``, the least from
         wherever on the way to it. No row without a home.
       return_lines: at which altitude it may return from wherever it is, a sentence each, and what to type.
+      unjudged: a row for each stretch that is not judged: its ``kind``, its ``reason``, the ``item`` that it is flown
+        toward, ``lon`` and ``lat`` of its begin (NaN where the mission has no place over the maps), ``along_m`` and
+        ``to_m`` along the mission, and ``autopilot``, as of the findings.
 
     Examples:
       >>> ju.check(maps, path, sources=city, max_people=30)
@@ -87,6 +90,7 @@ class MissionCheck(Result):
     left_out: str = ""
     return_altitudes: pd.DataFrame = field(default_factory=pd.DataFrame)
     return_lines: Sequence[str] = ()
+    unjudged: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @property
     def state(self) -> State:
@@ -181,8 +185,8 @@ class MissionCheck(Result):
 
         Returns:
           ``state``, ``sentence``, ``mission``, ``autopilots``, ``findings`` (a dictionary each), ``not_judged``,
-          ``notes``, ``figures``, ``outlines``, ``limits``, ``guesses``, ``return_altitudes`` (a dictionary each) and
-          ``return_lines``; None stands for a number that is missing.
+          ``unjudged`` (a dictionary each), ``notes``, ``figures``, ``outlines``, ``limits``, ``guesses``,
+          ``return_altitudes`` (a dictionary each) and ``return_lines``; None stands for a number that is missing.
 
         Examples:
           >>> record = ju.check(maps, path, sources=city, max_people=30).to_dict()
@@ -196,6 +200,7 @@ class MissionCheck(Result):
             "autopilots": list(self.autopilots),
             "findings": records_of(self.findings),
             "not_judged": list(self.not_judged),
+            "unjudged": records_of(self.unjudged),
             "notes": list(self.notes),
             "figures": dict(self.figures),
             "outlines": self.outlines,
@@ -256,6 +261,19 @@ class MissionCheck(Result):
 def flown_by(autopilot: str, sentence: str) -> str:
     """Return a sentence with the only autopilot of which it is true, if it is not true of all (``""``)."""
     return f"Flown by {AUTOPILOTS[autopilot]}: {sentence}" if autopilot else sentence
+
+
+def begins_said(stretches: pd.DataFrame) -> str:
+    """Return where the first of some stretches begins that has a place, as a sentence after others; else ``""``."""
+    with_place = stretches[stretches["lon"].notna()]
+    if with_place.empty:
+        return ""
+    first = with_place.iloc[0]
+    which = f"The first of {len(stretches)} stretches begins" if len(stretches) > 1 else "It begins"
+    return (
+        f" {which} {first['along_m']:.0f} m along the mission, toward item {first['item']:.0f}, at "
+        f"{first['lon']:.6f}, {first['lat']:.6f}."
+    )
 
 
 def _sentence_of(row: Mapping[Any, Any]) -> str:

@@ -197,9 +197,3 @@ def merged(rows: pd.DataFrame, key: str | None = None) -> pd.DataFrame:
     for name in rows.columns.intersection(["gap_m", "apart_m"]):
         joined[name] = np.fmin.reduceat(rows[name].to_numpy(), begins)
     return rows.iloc[begins].assign(**joined).sort_values("from_m", ignore_index=True)
-
-
-def union_m(rows: pd.DataFrame) -> float:
-    """Return the length along a mission that stretches cover, each metre counted once."""
-    stretches = merged(rows[["from_m", "to_m"]])
-    return float((stretches["to_m"] - stretches["from_m"]).sum())

@@ -36,6 +36,7 @@ SPAN = ["from_m", "to_m"]
 ASIDE_M = np.array(sorted(range(-100, 101), key=abs))  # to the right; to the left below 0
 REMEDY = ["clear_m", "aside_m"]
 PLACE = ["lon", "lat", "along_m", "to_m", "height_m"]
+UNJUDGED = ["kind", "reason", "item", "lon", "lat", "along_m", "to_m"]
 COLUMNS = ["kind", "what", "item", *PLACE, "building_m", "by_m", "is_guessed", *REMEDY]
 
 
@@ -102,6 +103,33 @@ def placed(table: pd.DataFrame, flight: Flight, steps: Steps) -> pd.DataFrame:
     return table.reindex(columns=COLUMNS)
 
 
+def unjudged_stretches(unknown: pd.DataFrame, flight: Flight) -> pd.DataFrame:
+    """Return a row for each stretch of a mission that is not judged for a reason, with the place at which it begins.
+
+    Args:
+      unknown: stretches, which may overlap, with ``kind``, ``reason``, ``from_m`` and ``to_m`` (`judged`).
+      flight: the mission over the maps.
+
+    Returns:
+      The columns `UNJUDGED`, in the order of travel; ``item``, ``lon`` and ``lat`` are NaN where the mission has no
+      place there, outside the maps or at no known height.
+    """
+    stretches = merged(unknown.assign(number=pd.factorize(unknown["reason"])[0]), "number")
+    steps = flight.steps
+    begin_m = stretches["from_m"].to_numpy() + TOUCH_M
+    step = np.searchsorted(steps.along_m[:, 0], begin_m, side="right") - 1
+    is_there = step >= 0
+    is_there[is_there] = begin_m[is_there] <= steps.along_m[step[is_there], 1] + TOUCH_M
+    begins = steps.take(step[is_there])
+    places = np.full((len(stretches), 3), np.nan)
+    places[is_there, 0] = [flight.mission.legs[leg].item for leg in begins.leg]
+    places[is_there, 1:] = np.stack(
+        flight.ground.maps.grid.lonlat_of_xy(*begins.ends_m[:, 0].T), axis=-1
+    )
+    placed = stretches.assign(**dict(zip(("item", "lon", "lat"), places.T, strict=True)))
+    return placed.rename(columns={"from_m": "along_m"})[UNJUDGED]
+
+
 def _cleared(
     findings: pd.DataFrame,
     flight: Flight,
@@ -113,7 +141,7 @@ def _cleared(
 ) -> pd.DataFrame:
     """Return findings with what clears each of buildings, the ground and zones by the clearances (`least_clear`).
 
-    Zones count at all heights. Cells that bounds close do not count.
+    Zones that end above the ceiling count at all heights. Cells that bounds close do not count.
 
     Args:
       findings: of some steps of the mission.
@@ -131,8 +159,11 @@ def _cleared(
       maps), on a take-off or landing, and of closed cells.
     """
     ground = flight.ground
-    zones = shapely.union_all([zone.on(ground.maps.grid) for zone in limits.zones])
-    known = shapely.difference(known, zones)
+    is_low = np.array([zone.ceiling_m <= ceiling_m for zone in limits.zones], bool)
+    zones = _zones_of(ground, limits.zones)
+    known = shapely.difference(known, shapely.union_all(zones.polygons[~is_low]))
+    low = [values[is_low] for values in zones]
+    buildings = Prisms(*map(np.concatenate, zip(buildings, low, strict=True)))
     remedies = []
     for row in findings.to_dict("records"):
         is_there = (steps.along_m >= row["along_m"]) & (steps.along_m <= row["to_m"])
@@ -400,14 +431,21 @@ def _described(
 
 def _in_zones(steps: Steps, ground: Elevation, zones: Sequence[Zone]) -> pd.DataFrame:
     """Return a row for each step in each no-fly zone (`contacts`)."""
-    polygons = np.array([zone.on(ground.maps.grid) for zone in zones], object)
-    floor_m = np.array([zone.floor_m for zone in zones], float)
-    top_m = np.array([zone.ceiling_m for zone in zones], float)
-    limit_m = np.full(len(zones), -np.inf)
-    kind = np.full(len(zones), "zone", object)
-    prisms = Prisms(polygons, floor_m, top_m, limit_m, limit_m, kind)
-    rows = contacts(steps, prisms, ground)
+    rows = contacts(steps, _zones_of(ground, zones), ground)
     return rows[rows["gap_m"] <= 0]
+
+
+def _zones_of(ground: Elevation, zones: Sequence[Zone]) -> Prisms:
+    """Return no-fly zones as prisms of known heights."""
+    limit_m = np.full(len(zones), -np.inf)
+    return Prisms(
+        polygons=np.array([zone.on(ground.maps.grid) for zone in zones], object),
+        floor_m=np.array([zone.floor_m for zone in zones], float),
+        top_m=np.array([zone.ceiling_m for zone in zones], float),
+        limit_m=limit_m,
+        likely_m=limit_m,
+        kind=np.full(len(zones), "zone", object),
+    )
 
 
 def _zones(steps: Steps, ground: Elevation, zones: Sequence[Zone]) -> pd.DataFrame:

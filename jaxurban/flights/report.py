@@ -36,6 +36,16 @@ FOUND: Look = NUMBER | {
     "label": "findings, by number",
 }
 MISSION: Look = frame.HALO | {"color": ALTITUDE_COLOUR, "label": "mission", "zorder": 4}
+UNJUDGED: Look = frame.HALO | {
+    "color": "none",
+    "markeredgecolor": FOUND_COLOUR,
+    "marker": "o",
+    "markersize": 8.0,
+    "markeredgewidth": 1.5,
+    "linestyle": "none",
+    "label": "not judged from here",
+    "zorder": 20,
+}
 HOME: Look = frame.END_LOOK | {"marker": "p", "markersize": 14.0, "label": "home"}
 ZONE: Look = {"facecolor": "none", "edgecolor": FOUND_COLOUR, "hatch": "////"}
 LEGEND: tuple[Artist, ...] = (  # in the order of `is_drawn`
@@ -43,6 +53,7 @@ LEGEND: tuple[Artist, ...] = (  # in the order of `is_drawn`
     Line2D([], [], **HOME),
     *frame.ENDS,
     Line2D([], [], **FOUND),
+    Line2D([], [], **UNJUDGED),
     Patch(label="no-fly zone", **ZONE),
     Patch(label="height guessed", color=frame.GUESSED_ROOF_COLOUR),
 )
@@ -75,7 +86,11 @@ def check_report(result: MissionCheck) -> ResultReport:
             "limits": describe_constraints(result.limits) or "none",
             "guesses": names_of(result.maps.guesses) or "nothing",
         },
-        tables={"findings": result.findings, "return_altitudes": result.return_altitudes},
+        tables={
+            "findings": result.findings,
+            "unjudged": result.unjudged,
+            "return_altitudes": result.return_altitudes,
+        },
         figures=figures,
         others={
             "findings.geojson": json.dumps(result.to_geojson(), indent=1),
@@ -102,7 +117,9 @@ def plot_mission(result: MissionCheck) -> Figure:
         layers.append(frame.flat_layer(is_guessed, frame.GUESSED_ROOF_COLOUR))
     found = result.findings
     of_zones = [zone.part_on(grid) for zone in result.zones if zone.state != "open"]
-    is_drawn = True, flight.mission.home, True, True, len(found), of_zones, has_guessed
+    unjudged = result.unjudged.dropna(subset=["lon", "lat"])
+    has_home = flight.mission.home is not None
+    is_drawn = True, has_home, True, True, len(found), len(unjudged), of_zones, has_guessed
     legend = [*compress(LEGEND, is_drawn)]
     panel = frame.cropped(frame.MapPanel("Roof height (m)", layers), maps.grid, grid)
     heading = frame.joined(flight.mission.name, result.sentence)
@@ -121,6 +138,7 @@ def plot_mission(result: MissionCheck) -> Figure:
     if flight.mission.home:
         axes.plot(*grid.xy_of_lonlat(*flight.mission.home), **HOME)
     frame.mark_ends(axes, flight.lines_m[0, 0], flight.lines_m[-1, 1])
+    axes.plot(*grid.xy_at(unjudged[["lon", "lat"]].to_numpy(float)).T, **UNJUDGED)
     _mark(axes, *grid.xy_at(found[["lon", "lat"]].to_numpy(float)).T)
     return figure
 

@@ -364,10 +364,14 @@ def test_what_lies_outside_the_data_is_never_clean(open_scene):
     holed = open_scene._replace(maps=replace(maps, ds=maps.ds.assign(has_data=bare)))
     within = [open_scene.place(20.0, y_m, 60.0) for y_m in (20.0, 500.0)]
     result = checked(holed, mission_of(*within, home=within[0]), time=OFF)
-    assert (result.state, result.not_judged) == (
-        "not-judged",
-        ["100 m lie over cells without data."],
-    )
+    lon, lat = open_scene.place(20.0, 200.0, 60.0)[:2]
+    words = f"It begins 240 m along the mission, toward item 2, at {lon:.6f}, {lat:.6f}."
+    assert result.state == "not-judged"
+    assert result.not_judged == [f"100 m lie over cells without data. {words}"]
+    (row,) = result.to_dict()["unjudged"]
+    assert (row["kind"], row["item"]) == ("data", 2)
+    assert (row["along_m"], row["to_m"]) == pytest.approx((240.0, 340.0))
+    assert (row["lon"], row["lat"]) == pytest.approx((lon, lat), abs=1e-8)
     high = [place._replace(height_m=450.0) for place in within]
     assert "above the maps" in checked(open_scene, mission_of(*high, home=high[0])).not_judged[0]
 
@@ -396,7 +400,8 @@ def test_where_the_source_of_buildings_ends_nothing_is_clean(open_scene):
     mission = mission_of(*ends, home=ends[0])
     result = checked(open_scene._replace(city=half), mission, 0.0, OFF)
     reason = "350 m lie where the source of the buildings does not know what stands."
-    assert (result.state, result.not_judged) == ("not-judged", [reason])
+    assert result.state == "not-judged"
+    assert [text.partition(" It begins")[0] for text in result.not_judged] == [reason]
     guesses = attribute(Guess(GuessKind.WITHOUT_DATA, 0.5))
     maps = open_scene.maps
     bare = maps.ds.assign(roof_touched=0 * maps.ds["roof_touched"])

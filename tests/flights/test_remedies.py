@@ -11,6 +11,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.flights.missions.parts import Leg, Mission, Place
 from jaxurban.io.city import City
+from jaxurban.io.zone import Zone
 from jaxurban.typing import MissionCheck
 from jaxurban.world.footprints import Footprints, HeightOrigin
 from tests.flights.test_check import (
@@ -103,6 +104,25 @@ def test_what_nothing_bounds_is_no_way_out_though_it_is_guessed_lower_than_the_f
     ends = place(maps, 305, 200, 60), place(maps, 305, 400, 60)
     assert flown(maps, city, *ends).findings["aside_m"].tolist() == [20.0]
     assert flown(maps, both, *ends).findings["aside_m"].tolist() == [-30.0]
+
+
+@pytest.mark.parametrize(("top_m", "clear_m"), [(75.0, 78.0), (117.0, 120.0), (117.5, math.nan)])
+def test_a_zone_is_cleared_over_its_ceiling_up_to_that_of_the_flight(top_m, clear_m):
+    maps, city = tower()
+    corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
+    middle_m = shapely.Point(corner_m[0] + 100.0, corner_m[1] + 300.0)
+    shape = shapely.box(*shapely.buffer(middle_m, 10.0).bounds)
+    zone = Zone("mast", shape, maps.grid.crs, ceiling_m=top_m)
+    limits = ju.Constraints(zones=(zone,), clearance_m=4.0)
+    ends = place(maps, 100, 200, 60), place(maps, 100, 400, 60)
+    result = flown(maps, city, *ends, constraints=limits)
+    (row,) = result.findings.to_dict("records")
+    assert row["kind"] == "zone"
+    assert row["clear_m"] == pytest.approx(clear_m, nan_ok=True)
+    assert abs(row["aside_m"]) in (14.0, 15.0)
+    if not math.isnan(clear_m):
+        over = [each._replace(height_m=clear_m) for each in ends]
+        assert flown(maps, city, *over, constraints=limits).findings.empty
 
 
 def test_limits_and_closed_cells_have_no_way_out():
