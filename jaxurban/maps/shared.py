@@ -107,3 +107,12 @@ def _paired(a: MetricMaps, b: MetricMaps) -> tuple[Sequence[str], Sequence[str]]
         f"the maps share no time, A holds {listed(a.times)} and B {listed(b.times)}: compare maps of a single time "
         "each, as in MetricMaps(maps.ds.isel(time=[0]))"
     )
+
+
+def population_norms(maps: MetricMaps) -> dict[str, float]:
+    """Return by which number of people, per km2 or per block, the population of each time of day is divided."""
+    for name in NORMS:
+        if name in maps.ds.attrs:
+            norms = np.atleast_1d(maps.ds.attrs[name]).astype(float)
+            return dict(zip(maps.times_of_day, norms.tolist(), strict=False))
+    return {}

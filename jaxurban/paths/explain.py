@@ -22,6 +22,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY
 from jaxurban.paths.plan import map_at
 from jaxurban.paths.profile import (
+    SWATH_M,
     cautions,
     cut_evenly,
     cut_on,
@@ -53,7 +54,7 @@ def explain(
     *,
     speed_m_s: float | None = None,
     power_w: float | None = None,
-    swath_m: float = 10.0,
+    swath_m: float = SWATH_M,
     num_segments: int = 10,
 ) -> RouteReport:
     """Return what a planned route costs and meets, in whole and by segment.

@@ -42,6 +42,7 @@ from jaxurban.world.kinds import EFFECTS
 from jaxurban.world.surface import stands_at
 
 MOST_SEGMENTS = 3  # that a terminal line lists
+SWATH_M = 10.0  # width of the strip along a route in which people are counted
 # Of a guessed roof a route passes it: what the risk metric counts as near by default.
 NEAR_GUESSED_M = 50.0
 # Below which a height over a roof is beyond limits, where no vertical clearance was asked.

@@ -1,10 +1,10 @@
 """when: the same routes planned at every time that maps hold, and the one at which they cost the least together."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import product
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import pandas as pd
@@ -14,18 +14,28 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.tolerances import SAME_ROUTE_COST
 from jaxurban.knowledge import Caution
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
+from jaxurban.maps.shared import population_norms
 from jaxurban.metrics.gps import FIX
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.choices import PathChoice, parted
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map
-from jaxurban.paths.profile import cautious_profile, guess_cautions, without_fix
+from jaxurban.paths.profile import (
+    SWATH_M,
+    cut_on,
+    guess_cautions,
+    people_below,
+    profile_of,
+    without_fix,
+)
 from jaxurban.paths.queries import PlannedPaths, QueriesLike, table_of
+from jaxurban.paths.route_report import DENSITY
 from jaxurban.progress import Progress
 from jaxurban.public import FactsRepr, listed
 
 TIMES = ["time", "time_of_day"]
+PEOPLE = "people_overflown"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,11 +44,12 @@ class Departures(FactsRepr):
 
     Attributes:
       table: a row per time: ``time`` (UTC) and ``time_of_day``; summed over the routes ``cost``, ``length_m``,
-        ``no_fix_m`` (length without a position fix, as of `explain`) and ``exposure_*``, NaN where one of them has no
-        path; ``longest_no_fix_m``, the longest stretch without a fix on any of them; ``above_best``, the share by
-        which the cost exceeds the least one; ``kept_above``, by which share a route of the best time costs more now
-        than this time's own, at most (inf where it is closed), and ``num_changed``, how many routes that is so of.
-        Queries that have a path at no time are in no sum. What the maps do not hold is left out.
+        ``no_fix_m`` (length without a position fix) and ``people_overflown``, both as of `explain`, and
+        ``exposure_*``, NaN where one of them has no path; ``longest_no_fix_m``, the longest stretch without a fix on
+        any of them; ``above_best``, the share by which the cost exceeds the least one; ``kept_above``, by which share a
+        route of the best time costs more now than this time's own, at most (inf where it is closed), and
+        ``num_changed``, how many routes that is so of. Queries that have a path at no time are in no sum. What the maps
+        do not hold is left out.
       routes: a row per time and route, as of `PlannedPaths.to_dataframe`, with the same of each: ``departure`` is the
         row of ``table``, ``query`` the number of the route.
       paths: of the rows of ``routes``.
@@ -95,12 +106,16 @@ class Departures(FactsRepr):
         if self.best is not None:
             best = table.iloc[self.best]
             worst = table.iloc[table["cost"].argmax()]
+            num_best = (table["above_best"] == 0).sum()
+            shared = f", the same at {num_best} of {len(table)} times" if num_best > 1 else ""
             has_changed = self.routes.groupby("query")["num_changed"].any()
             most_kept = table["kept_above"].max()
-            facts["best"] = f"{_time_of(best)}, cost {best['cost']:,.2f}"
+            facts["best"] = f"{_time_of(best)}, cost {best['cost']:,.2f}{shared}"
             facts["worst"] = f"{_time_of(worst)}, {worst['above_best']:.2%} above the best"
             facts["routes that change"] = f"{has_changed.sum()} of {len(has_changed)}"
             facts["keeping those of the best"] = f"up to {most_kept:.2%} more at another time"
+            if PEOPLE in table:
+                facts["people overflown"] = self._people_said
 
         # Routes without a path at some of the times, with the message of the first.
         missing = self.routes[self.routes["cost"].isna()]
@@ -110,10 +125,23 @@ class Departures(FactsRepr):
             without_path += f" ({missing['message'].iloc[0]})"
         return facts | {"times without a path": without_path}
 
+    @property
+    def _people_said(self) -> str:
+        """The fewest and the most people overflown, and whether the costs of times of day compare them."""
+        few, *_, most = self.table.sort_values(PEOPLE).to_dict("records")
+        said = f"{few[PEOPLE]:,.0f} at {_time_of(few)} to {most[PEOPLE]:,.0f} at {_time_of(most)}"
+        norms = population_norms(next(filter(None, self.paths)).maps)
+        if len({*norms.values()}) > 1:
+            said += (
+                "; costs do not compare them, as people count relative to the densest place of each time of day: give "
+                "ju.Population(normalise=PEOPLE_PER_KM2) one number for all"
+            )
+        return said
 
-def _time_of(row: pd.Series) -> str:
+
+def _time_of(row: Mapping[str, Any] | pd.Series) -> str:
     """Return the time and the time of day of a row of `Departures` as a text; one that the maps lack is left out."""
-    return ", ".join(filter(None, row[TIMES]))
+    return ", ".join(filter(None, (row[name] for name in TIMES)))
 
 
 @typed
@@ -238,7 +266,7 @@ def _with_sums(table: pd.DataFrame, routes: pd.DataFrame) -> pd.DataFrame:
       costs are the same but for rounding.
     """
     # The sums. A group with fewer values than there are routes sums to NaN (`min_count`).
-    summed = list(routes.filter(regex="^(cost|length_m|no_fix_m|exposure_.+)$"))
+    summed = list(routes.filter(regex=f"^(cost|length_m|no_fix_m|{PEOPLE}|exposure_.+)$"))
     has_path_at_times = routes.groupby("query")["cost"].transform("count") > 0
     flown = routes[has_path_at_times]
     num_flown = flown["query"].nunique()
@@ -274,14 +302,17 @@ def _costs_at(
 
 
 def _along(path: PlannedPath | None) -> dict[str, float]:
-    """Return measures of a route by column: exposure to each layer, metres without a fix, and the longest such stretch.
+    """Return measures of a route by column: exposure to each layer, people, and metres without a fix.
 
-    There are none without a path. The metres are left out where the maps hold no HDOP.
+    There are none without a path. What the maps do not hold is left out.
     """
     if path is None or path.maps is None or not path.status.has_path:
         return {}
     measures = {f"exposure_{name}": value for name, value in path.exposure_by_layer.items()}
-    profile = cautious_profile(path, path.maps)
+    _, parts = cut_on(path, path.maps)
+    profile = profile_of(parts, path.maps, {FIX: FIX, "density": DENSITY}, path.settings)
+    if DENSITY in profile:
+        measures[PEOPLE] = people_below(profile[DENSITY], parts, SWATH_M).sum()
     if FIX in profile:
         lengths_m = [to_m - from_m for from_m, to_m in without_fix(profile)]
         measures["no_fix_m"] = sum(lengths_m, 0.0)

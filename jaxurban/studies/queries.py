@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
-from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.population import NORMS
+from jaxurban.maps.shared import population_norms
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.paths.cost_map import CostMap
@@ -174,15 +173,6 @@ def _check_same(values: Sequence[Any], remedy: str) -> None:
             raise InputError(
                 f"the routes lie on maps of {values[0]} and {value}, different {remedy}"
             )
-
-
-def population_norms(maps: MetricMaps) -> dict[str, float]:
-    """Return by which number of people, per km2 or per block, the population of each time of day is divided."""
-    for name in NORMS:
-        if name in maps.ds.attrs:
-            norms = np.atleast_1d(maps.ds.attrs[name]).astype(float)
-            return dict(zip(maps.times_of_day, norms.tolist(), strict=False))
-    return {}
 
 
 def ends_option(grid: Grid, ends_m: ArrayLike) -> str:

@@ -83,6 +83,7 @@ def test_the_table_is_that_of_a_plan_at_each_time(maps, pairs, departures):
             "length_m": sum(path.length_m for path in paths),
             "no_fix_m": sum(report.totals["no_fix_m"] for report in reports),
             "longest_no_fix_m": max(map(longest_m, reports)),
+            "people_overflown": sum(report.totals["people_overflown"] for report in reports),
             "above_best": sum(path.cost for path in paths) / costs.sum(axis=1).min() - 1,
             "num_changed": sum(more > 1e-9 for more in kept),
             "kept_above": max(kept),
@@ -106,6 +107,8 @@ def test_of_times_that_cost_the_same_but_for_rounding_the_first_is_the_best(maps
     assert [*departures.table["above_best"]] == [0.0, 0.0, 0.0]
     table = departures.table.assign(cost=departures.table["cost"] * [1 + 1e-14, 1, 1 + 1e-14])
     assert Departures(table, departures.routes, departures.paths).best == 0
+    assert departures.facts["best"].endswith(", the same at 3 of 3 times")
+    assert "costs do not compare" in departures.facts["people overflown"]
 
 
 def test_the_cautions_are_of_the_routes_at_the_best_time(maps, pairs):
@@ -131,7 +134,10 @@ def test_the_cautions_are_of_the_routes_at_the_best_time(maps, pairs):
 def test_the_facts_say_how_small_the_effect_is(departures):
     cost, facts = departures.table["cost"], departures.facts
     assert f"{cost.max() / cost.min() - 1:.2%} above the best" in facts["worst"]
-    assert f"cost {cost.min():,.2f}" in facts["best"]
+    assert facts["best"].endswith(f"cost {cost.min():,.2f}")
+    people = departures.table["people_overflown"]
+    assert facts["people overflown"].startswith(f"{people.min():,.0f} at ")
+    assert f" to {people.max():,.0f} at " in facts["people overflown"]
     assert facts["times without a path"] == ""
 
 

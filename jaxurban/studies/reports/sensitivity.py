@@ -21,6 +21,7 @@ from jaxurban.draw.write import (
 )
 from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.shared import population_norms
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX
 from jaxurban.paths.rows import HAS_PATH
@@ -29,7 +30,7 @@ from jaxurban.statistics.conclusions import VERDICTS, Conclusion, Verdict, concl
 from jaxurban.studies.decided import FEWEST_RUNS, wider_bounds
 from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes, plot_regret
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
-from jaxurban.studies.queries import ends_option, population_norms, weights_option
+from jaxurban.studies.queries import ends_option, weights_option
 from jaxurban.studies.results import SHARES, StudyResult, with_units
 from jaxurban.studies.weights import summary
 from jaxurban.studies.weights.cities import study_key
