@@ -1,10 +1,10 @@
 """when: the same routes planned at every time that maps hold, and the one at which they cost the least together."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import product
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import pandas as pd
@@ -128,10 +128,11 @@ class Departures(FactsRepr):
     @property
     def _people_said(self) -> str:
         """The fewest and the most people overflown, and whether the costs of times of day compare them."""
-        few, *_, most = self.table.sort_values(PEOPLE).to_dict("records")
+        ordered = self.table.sort_values(PEOPLE)
+        few, most = ordered.iloc[0], ordered.iloc[-1]
         said = f"{few[PEOPLE]:,.0f} at {_time_of(few)} to {most[PEOPLE]:,.0f} at {_time_of(most)}"
-        norms = population_norms(next(filter(None, self.paths)).maps)
-        if len({*norms.values()}) > 1:
+        maps = next(filter(None, self.paths)).maps
+        if maps is not None and len({*population_norms(maps).values()}) > 1:
             said += (
                 "; costs do not compare them, as people count relative to the densest place of each time of day: give "
                 "ju.Population(normalise=PEOPLE_PER_KM2) one number for all"
@@ -139,9 +140,9 @@ class Departures(FactsRepr):
         return said
 
 
-def _time_of(row: Mapping[str, Any] | pd.Series) -> str:
+def _time_of(row: pd.Series) -> str:
     """Return the time and the time of day of a row of `Departures` as a text; one that the maps lack is left out."""
-    return ", ".join(filter(None, (row[name] for name in TIMES)))
+    return ", ".join(filter(None, row[TIMES]))
 
 
 @typed
