@@ -7,8 +7,11 @@ import pandas as pd
 import shapely
 
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.gps import FIX
 from jaxurban.paths.batch import plan_many
+from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map
+from jaxurban.paths.profile import cut_on, profile_of, without_fix
 from jaxurban.paths.queries import IN_METRES
 from jaxurban.progress import Report
 from jaxurban.studies.decided import edge_band, is_at_edge
@@ -16,6 +19,7 @@ from jaxurban.studies.montecarlo.sampling import sample_joined
 
 SAME = 1e-4  # share of the cost: a route that costs no more above the cheapest one is as good
 JUDGED = ["length_m", "cost", "best_there", "cost_there", "is_closed", "apart_m", "at_edge"]
+NO_FIX = ["no_fix_m", "no_fix_there_m"]
 
 
 def compared_routes(
@@ -43,6 +47,7 @@ def compared_routes(
       ``cost`` is the route's cost on A, ``cost_there`` its cost on B (NaN where it is closed there), ``best_there`` the
       cost of B's own route, and ``regret`` is cost_there / best_there - 1. ``is_closed`` is 1 where it crosses cells
       that are closed on B or comes too near one, and ``is_changed`` where it is closed or its regret is above `SAME`.
+      ``no_fix_m`` and ``no_fix_there_m`` are its lengths without a position fix on A and on B, as of `explain`.
       ``apart_m`` is how far it and B's own route are apart at most, and ``at_edge`` is 1 where it runs along the border
       of the data. What is not known is NaN.
 
@@ -76,6 +81,8 @@ def compared_routes(
             "cost_there": features.cost(problem.weights) if features.is_valid else np.nan,
             "is_closed": float(not features.is_valid),
             "at_edge": float(is_at_edge(path.search.points_m, a.grid, band)),
+            "no_fix_m": _no_fix_m(path, a, times[0]),
+            "no_fix_there_m": _no_fix_m(path, b, times[1]),
         }
         if best is not None and best.status.has_path:
             lines = (shapely.LineString(each.search.points_m) for each in (path, best))
@@ -83,7 +90,7 @@ def compared_routes(
                 "best_there": best.search.cost,
                 "apart_m": float(shapely.hausdorff_distance(*lines)),
             }
-    judged = pd.DataFrame(rows, columns=JUDGED)
+    judged = pd.DataFrame(rows, columns=[*JUDGED, *NO_FIX])
     regret = (judged.cost_there / judged.best_there - 1).clip(lower=0)
     is_changed = (judged.is_closed > 0) | (regret > SAME)
     return table.assign(
@@ -93,3 +100,12 @@ def compared_routes(
         regret=regret,
         is_changed=is_changed.where(judged.is_closed.notna()).astype(float),
     )
+
+
+def _no_fix_m(path: PlannedPath, maps: MetricMaps, time: str | None) -> float:
+    """Return the length of a route without a position fix by maps at a time; NaN where they do not know it."""
+    _, parts = cut_on(path, maps)
+    profile = profile_of(parts, maps, {FIX: FIX}, path.settings | {"time": time})
+    if FIX not in profile:
+        return np.nan
+    return float(sum(to_m - from_m for from_m, to_m in without_fix(profile)))
