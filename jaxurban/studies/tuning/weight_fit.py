@@ -354,13 +354,15 @@ def fit_weights(
 
 
 def _pilot(demonstrations: Sequence[Demonstration], names: Sequence[str]) -> np.ndarray:
-    """Return ``[K]`` the weights under which all routes were planned, scaled to sum 1; NaN if not all under one W."""
+    """Return ``[K]`` the weights under which all routes were planned, scaled to sum 1.
+
+    They are NaN if not all routes were planned under one W, or if it weighs nothing that the fit weighs.
+    """
     pilots = {each.pilot for each in demonstrations}
     pilot = pilots.pop()
-    if pilot is None or pilots:
-        return np.full(len(names), np.nan)
-    vector = pilot.vector(names)
-    return vector / vector.sum()
+    vector = np.zeros(len(names)) if pilot is None or pilots else pilot.vector(names)
+    total = vector.sum()
+    return vector / total if total else np.full(len(names), np.nan)
 
 
 def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str]:
