@@ -105,7 +105,7 @@ def compared_routes(
 def _no_fix_m(path: PlannedPath, maps: MetricMaps, time: str | None) -> float:
     """Return the length of a route without a position fix by maps at a time; NaN where they do not know it."""
     _, parts = cut_on(path, maps)
-    profile = profile_of(parts, maps, {FIX: FIX}, path.settings | {"time": time})
+    profile = profile_of(parts, maps, {FIX: FIX}, {**path.settings, "time": time})
     if FIX not in profile:
         return np.nan
     return float(sum(to_m - from_m for from_m, to_m in without_fix(profile)))
