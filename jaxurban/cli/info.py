@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from jaxurban.maps.metric_maps import MetricMaps
 
 MOST_BYTES = 2**30  # of any other file than of buildings or a raster: most are read whole
+REPORT = "report.md"  # of a study or a check
 MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # and nothing else
 
 
@@ -42,8 +43,8 @@ def info_command(path: Path, place: Point | None, as_json: bool) -> None:
 
     Of a folder of several folders of maps it says how far each is. FILE is of buildings, or a raster: printed are
     extent, CRS, counts and guessed heights. Of a mission, a receiver's log, a track, orbits or a scenario it says in a
-    line what it holds, and what reads it. With --at, longitude,latitude in degrees, it says what stands there by a file
-    of buildings, or by the files of maps: kind, rule, height and bound.
+    line what it holds, and what reads it; of the folder of a report it says the title. With --at, longitude,latitude in
+    degrees, it says what stands there by a file of buildings, or by the files of maps: kind, rule, height and bound.
     """
     has_maps = any((path / name).exists() for name in (ZARR_FOLDER, RUN_FILE))
     if place is not None:
@@ -60,6 +61,10 @@ def info_command(path: Path, place: Point | None, as_json: bool) -> None:
     folders = _folders_of_maps(path)
     if has_maps:
         facts, numbers = _facts_of_maps(path)
+    elif (path / REPORT).is_file():
+        title = (path / REPORT).read_text(encoding="utf-8").partition("\n")[0]
+        facts = {"holds": f"a report, {title.lstrip('# ')!r}: read {str(path / REPORT)!r}"}
+        numbers = []
     elif folders:
         facts = {folder.name: _state_of(folder) for folder in folders}
         numbers = []

@@ -9,6 +9,7 @@ import psutil
 
 from jaxurban.errors import InputError
 
+LEAST_BYTES = 10**6  # that a number without a unit may mean: fewer hold no maps
 # Under Linux, by the file system of control groups: the file of a group's limit, and what it cannot give back.
 GROUP_FILES = {
     "cgroup": ("memory.limit_in_bytes", ("total_rss", "total_shmem")),
@@ -104,7 +105,7 @@ def parse_bytes(text: str, name: str = "memory") -> int:
     """Return the bytes in a size such as ``"4GiB"`` or ``"512 MB"``: of KiB, MiB ... by 1,024, of kB, MB ... by 1,000.
 
     Args:
-      text: a number above 0 and a unit; bytes without one.
+      text: a number above 0 and a unit; without one bytes, of which there are a million at least.
       name: of the setting, for the message.
 
     Raises:
@@ -115,6 +116,7 @@ def parse_bytes(text: str, name: str = "memory") -> int:
     num_bytes = 0
     with suppress(ValueError, OverflowError):
         num_bytes = bytes_of(text)
-    if num_bytes <= 0 or not text[:1].isdigit():
+    has_no_unit = text.strip().isdigit() and num_bytes < LEAST_BYTES
+    if num_bytes <= 0 or not text[:1].isdigit() or has_no_unit:
         raise InputError(f"{name} must be a size such as 4GiB or 800MiB, got {text!r}")
     return num_bytes

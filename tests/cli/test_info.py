@@ -98,6 +98,14 @@ def test_info_says_what_a_file_holds_and_which_command_reads_it(
     assert json.loads(out)["holds"].startswith(said)
 
 
+def test_info_says_the_title_of_the_report_in_a_folder(capsys, tmp_path):
+    (tmp_path / "report.md").write_text("# What differs\n\nMuch.\n")
+    (tmp_path / "checksums.json").write_text("{}")
+    code, out, err = run(capsys, "info", tmp_path)
+    assert (code, err) == (0, "")
+    assert out == f"holds  a report, 'What differs': read '{tmp_path / 'report.md'}'\n"
+
+
 def test_info_knows_element_sets_by_their_satellites_and_dates(capsys, tmp_path):
     path = tmp_path / "gps.txt"
     shutil.copy(located("sample:shinjuku/gps.tle"), path)

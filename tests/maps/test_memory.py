@@ -42,10 +42,11 @@ def test_sizes_are_read_and_said_as_people_write_them():
         ("4GiB", 4 * GIB),
         ("512 MB", 512 * 10**6),
         ("1.5GiB", 3 * GIB // 2),
-        ("2048", 2048),
+        ("2048kB", 2048000),
+        ("2048000", 2048000),
     ):
         assert parse_bytes(text) == num_bytes
-    for text in ("", "GiB", "-4GiB", "0", "4 gigs", "4GiB free"):
+    for text in ("", "GiB", "-4GiB", "0", "4", "2048", "4 gigs", "4GiB free"):
         with pytest.raises(InputError, match="such as 4GiB"):
             parse_bytes(text)
     sizes = {
