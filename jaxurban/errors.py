@@ -4,6 +4,7 @@ import csv
 import inspect
 import os
 import re
+import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,6 +14,7 @@ from typing import Literal
 
 from jaxurban.spelling import near
 
+PACKAGE = str(Path(__file__).parent)
 MOST_SAID = 300  # characters of what a library says that a message passes on
 MOST_OF_END = 1000  # characters of a message at its begin and at its end: a file may hold a text of any length
 # What Python itself says of files that are not as they should be, by a part of it, and what messages say instead.
@@ -104,6 +106,17 @@ class InputError(JaxurbanError, ValueError):
       ...     print(error)
       mask_deg must be an angle from 0 to less than 90 degrees, got 95
     """
+
+    def _render_traceback_(self) -> list[str]:
+        """Return what IPython shows of it: the user's own lines, and the sentence. ``%debug`` still enters all frames.
+
+        Source: `InteractiveShell.showtraceback` of IPython, which asks an exception for it.
+        """
+        frames = traceback.extract_tb(self.__traceback__)
+        of_others = (PACKAGE, "IPython", "<string>")  # the last is that of made methods
+        own = [each for each in frames if not any(part in each.filename for part in of_others)]
+        lines = [f"line {each.lineno}: {each.line}" for each in own]
+        return [*lines, f"{type(self).__name__}: {self}"]
 
 
 class RemadeError(InputError):

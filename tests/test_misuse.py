@@ -562,3 +562,13 @@ def test_help_lists_the_sections_that_maps_are_made_with():
     assert {name: parameters[name].annotation for name in known_metrics()} == {
         name: metric.params | None for name, metric in known_metrics().items()
     }
+
+
+def test_a_notebook_shows_ones_own_lines_and_the_sentence():
+    source = "def make():\n    return ju.Gps(mask_deg=95)\n\nmake()"
+    with pytest.raises(ju.InputError) as caught:
+        exec(compile(source, "a cell", "exec"), {"ju": ju})  # as a kernel does
+    shown = caught.value._render_traceback_()
+    assert shown[-1] == f"InputError: {caught.value}"
+    assert [line.partition(":")[0] for line in shown[-3:-1]] == ["line 4", "line 2"]
+    assert len(caught.traceback) > len(shown)
