@@ -30,6 +30,7 @@ from jaxurban.draw.style import (
     add_colour_bar,
     bar_ticks,
     chart,
+    is_small,
     legend_columns,
     letter,
     panel_columns,
@@ -179,7 +180,8 @@ def draw_maps(
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure of maps and the axes of its panels, in reading order.
 
-    The legend stands where a panel is missing to a full row, beside the panels where these are narrow, else below.
+    The legend stands where a panel is missing to a full row, beside the panels where these are narrow, else below. In a
+    cell of a figure that is small (`is_small`) there is the map alone, with its bar and the first words of what it is.
 
     Args:
       grid: of all panels without their own; all keep its proportions.
@@ -206,13 +208,22 @@ def draw_maps(
         elif not any(map(_own_bar, panels)):
             raise InputError("cmap: this map has classes, each of its own colour: leave cmap out")
 
+    width_in = width_in_of(form)
+    if is_small(form):
+        note, legend, has_ticks = "", (), False
+        heading = heading.partition(",")[0]
+        panels = [panel._replace(foot="") for panel in panels]
+        if colours is not None:
+            colours = _short(colours)
+
     # How large the panels are, and how much room ticks, feet and colour bars leave them.
     bars = [_own_bar(panel) for panel in panels]
+    if is_small(form):
+        bars = [bar and _short(bar) for bar in bars]
     if len(panels) == 1:
         colours = colours or bars[0]
     if colours is not None:
         bars = [None] * len(panels)
-    width_in = width_in_of(form)
     foot_in = LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
     if any(bars):
         has_ticks = False
@@ -255,6 +266,11 @@ def draw_maps(
     _add_key(figure, legend, gap, gap_in)
     _settle(figure, axes, size)
     return figure, axes
+
+
+def _short(bar: Colours) -> Colours:
+    """Return colours whose label is its first line."""
+    return replace(bar, label=bar.label.partition("\n")[0])
 
 
 def _recoloured_panel(panel: MapPanel, cmap: Any) -> MapPanel:

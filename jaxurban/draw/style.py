@@ -37,6 +37,7 @@ from jaxurban.pictures import Form
 SMALL_PT, TEXT_PT, HEADING_PT = 7.0, 8.0, 10.0  # of tick labels and notes; of titles
 # One column and two of a journal, by the IEEE Author Center's "Size Requirements for Graphics".
 WIDTHS_MM = {"column": 88.9, "page": 182.0}
+SMALL_IN = 5.5  # of a cell of a figure: notes and legends would crush its map
 LEAST_MM, MOST_MM = 60.0, 1000.0  # the narrowest on which text can be read, and a poster
 MM_PER_IN = 25.4
 Width = str | float  # a name of `WIDTHS_MM`, or millimetres
@@ -250,6 +251,15 @@ def bare(figure: Figure) -> Figure:
 def width_of(part: Any) -> float:
     """Return the width of a figure, or of a part of one, in inches."""
     return float(part.bbox.width / part.get_figure(root=True).dpi)
+
+
+def is_small(form: Form) -> bool:
+    """Return whether a picture fills a cell of a figure that is too small for notes and legends (`SMALL_IN`)."""
+    ax = form.get("ax")
+    if ax is None:
+        return False
+    dpi = ax.get_figure(root=True).dpi
+    return bool(min(ax.bbox.width, ax.bbox.height) < SMALL_IN * dpi)
 
 
 def panel_columns(num: int) -> int:

@@ -387,6 +387,20 @@ def test_a_picture_fills_a_cell_of_another_figure_under_its_title_and_in_its_col
     plt.close(whole)
 
 
+@pytest.mark.parametrize(("side_in", "is_alone"), [(2.5, True), (5.0, True), (8.0, False)])
+def test_in_a_small_cell_a_map_stands_alone_and_fills_it(maps, side_in, is_alone):
+    whole, axes = plt.subplots(1, 2, figsize=(2 * side_in, side_in))
+    for cell in axes:
+        plotting.plot_paths(maps, make_path(maps, "astar"), ax=cell)
+    whole.draw_without_rendering()
+    for part in whole.subfigs:
+        assert (part.get_supxlabel() == "") == is_alone
+        assert ("goal" not in texts_of(part)) == is_alone
+        (panel,) = panels_of(part)
+        assert panel.get_window_extent().width > 0.5 * part.bbox.width
+    plt.close(whole)
+
+
 @pytest.mark.parametrize(
     ("form", "said"),
     [
