@@ -41,13 +41,14 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     height_m, is_worded = _heights_beside(outlines, ~is_named)
     is_low = (height_m < LOW_M) | _has(outlines, "indoor")
     is_traffic = is_raised(outlines)
-    is_form = outlines.says("natural", LANDFORMS.split()) & ~is_named
-    is_form |= outlines.says("waterway", FALLS)
-    is_razed = _is_gone(outlines, ReadIssue.RAZED)
-    is_planned = _is_gone(outlines, ReadIssue.PLANNED)
-    is_own = ~(is_form | is_razed | is_planned | is_traffic)
-    is_high = is_own & (height_m >= LOW_M)
-    is_beyond = is_own & (height_m > MAX_HEIGHT_M)
+    is_landform = outlines.says("natural", LANDFORMS.split()) & ~is_named
+    of_something_else = {
+        "form of the land, or a waterfall": is_landform | outlines.says("waterway", FALLS),
+        "razed": _is_gone(outlines, ReadIssue.RAZED),
+        "planned": _is_gone(outlines, ReadIssue.PLANNED),
+        "traffic above the ground": is_traffic,
+    }
+    is_own = ~np.logical_or.reduce([*of_something_else.values()])
     has_levels = read_column(outlines.column("levels"), parse_count) > 0
     is_unnamed = outlines.texts("building") == ""
     is_buried = outlines.says("parking", [ReadIssue.UNDERGROUND])
@@ -55,6 +56,8 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     is_of_wind = outlines.says("wind", WIND)
     return {
         **_building_signs(outlines, is_area, has_names, has_decks),
+        **of_something_else,
+        **_height_signs(outlines, height_m, is_own),
         "names": has_names,
         "points": ~is_way,
         "ways": is_way,
@@ -64,10 +67,6 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
         "lone points": ~is_way & has_names,
         "low": is_low,
         "pond": is_area & outlines.says("natural", ["water"]),
-        "form of the land, or a waterfall": is_form,
-        "razed": is_razed,
-        "planned": is_planned,
-        "traffic above the ground": is_traffic,
         "way of traffic above the ground": is_traffic & is_way & ~is_low,
         "wind turbine": is_of_wind | _has(outlines, "rotor") | _has(outlines, "hub"),
         "generator of unknown source and height": (
@@ -78,6 +77,14 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
             outlines.says("tourism", ["artwork"]) & (outlines.texts("artwork_type") == "")
         ),
         "height in words": is_worded,
+    }
+
+
+def _height_signs(outlines: Outlines, height_m: np.ndarray, is_own: np.ndarray) -> Signs:
+    """Return the signs of `signs_of` by heights, ``[N]``, that are the features' own, or of something else."""
+    is_high = is_own & (height_m >= LOW_M)
+    is_beyond = is_own & (height_m > MAX_HEIGHT_M)
+    return {
         "height below 6 m": height_m < LOW_M,
         "height of 6 m or more": is_high,
         "height beyond 1,000 m, or that cannot be read": is_beyond,
@@ -107,27 +114,31 @@ def are_lone(
 ) -> np.ndarray:
     """Return which of the features that are asked for, ``[N]`` bool, lie in no building and are not their ground.
 
-    That is where buildings cover a share of it. A middle decides where they lie, as outlines need not be valid.
+    A feature is the ground of buildings that cover a share of it. A middle decides what lies in what, as outlines need
+    not be valid.
 
     Args:
       outlines: the features.
       is_building, is_asked: ``[N]`` bool.
-      ground_share: of the area of what is no ground of theirs, which buildings do not cover.
+      ground_share: of a feature's area. The ground of buildings is covered to more than that, and a building that is
+        smaller does not hold the feature.
     """
     is_lone = is_asked.copy()
     asked, buildings = outlines.polygons[is_asked], outlines.polygons[is_building]
-    index, near = shapely.STRtree(buildings).query(asked)
-    middles = shapely.point_on_surface(asked)[index]
-    _, first, number = np.unique(near, return_index=True, return_inverse=True)
-    shapes, buildings = asked[index], buildings[near]
-    area_m2, asked_m2 = shapely.area(buildings), shapely.area(asked)
-    is_within = shapely.within(middles, buildings)
-    is_within &= area_m2 >= ground_share * asked_m2[index]
-    holds = shapely.within(shapely.point_on_surface(buildings[first])[number], shapes)
-    held_m2 = np.bincount(index, area_m2 * holds, len(asked))
-    is_ground = held_m2 > ground_share * asked_m2
-    is_ground[index[is_within]] = True
-    is_lone[is_asked] = ~is_ground
+    least_m2 = ground_share * shapely.area(asked)
+    # Pairs of a feature and a building near it.
+    feature, near = shapely.STRtree(buildings).query(asked)
+    near_m2 = shapely.area(buildings[near])
+
+    middles = shapely.point_on_surface(asked)[feature]
+    is_within = shapely.within(middles, buildings[near]) & (near_m2 >= least_m2[feature])
+    once, number = np.unique(near, return_inverse=True)
+    middles_of_near = shapely.point_on_surface(buildings[once])[number]
+    is_held = shapely.within(middles_of_near, asked[feature])
+    held_m2 = np.bincount(feature, near_m2 * is_held, len(asked))
+    is_taken = held_m2 > least_m2
+    is_taken[feature[is_within]] = True
+    is_lone[is_asked] = ~is_taken
     return is_lone
 
 
