@@ -431,13 +431,28 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray, np
       Two indices of `RULES`, ``[N]`` each: of the rule that decides, and of the one that decides beside a building; and
       the highest bound of the rules that give another kind, in metres, 0 without one.
     """
-    held = [RANKS[name] * signs[name] for name in signs.keys() & (ALONE | THINGS)]
+    by_signs = [RANKS[name] * signs[name] for name in signs.keys() & (ALONE | THINGS)]
+    held = by_signs + _held_by_values(outlines, signs)
+    beside = reduce(np.maximum, held)
+    decided = reduce(np.maximum, [RANKS[name] * signs[name] for name in BUILDINGS], beside)
+    limits_m = _limits_of_others_m(held, beside, decided == beside)
+    is_thin = (GIVES[decided] == BUILDING) & ~signs["areas"]
+    return np.where(is_thin, RANKS["building without an area"], decided), beside, limits_m
+
+
+def _held_by_values(outlines: Outlines, signs: Signs) -> list[np.ndarray]:
+    """Return the rules that the values of each key name, as of `_by_value`, 0 where the shape is none of the key's.
+
+    Args:
+      outlines, signs: as of `decide`.
+    """
     words = {tag: outlines.words(tag) for tag in OF_KEYS.keys() & outlines.tags}
     of_shapes: defaultdict[str, list[np.ndarray]] = defaultdict(list)
     for key, rules in VALUES.items():
         tag, _, shape = key.partition(" of ")
         if tag in words:
             of_shapes[shape].append(_by_value(*words[tag], signs, rules))
+    held = []
     for shape, of_keys in of_shapes.items():
         is_it = np.ones(len(outlines.polygons), bool) & signs.get(shape, True)
         if shape.startswith("lone"):
@@ -445,9 +460,19 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray, np
             share = GROUND_SHARES[shape]
             is_it = are_lone(outlines, signs["building"] & ~signs["below"], is_asked, share)
         held += [ranks * is_it for ranks in of_keys]
-    beside = reduce(np.maximum, held)
-    decided = reduce(np.maximum, [RANKS[name] * signs[name] for name in BUILDINGS], beside)
-    is_itself = decided == beside
+    return held
+
+
+def _limits_of_others_m(
+    held: list[np.ndarray], beside: np.ndarray, is_itself: np.ndarray
+) -> np.ndarray:
+    """Return ``[N]`` the highest bound of the rules that give another kind than the one that decides, 0 without one.
+
+    Args:
+      held: ``[N]`` rules each, 0 where they do not hold.
+      beside: ``[N]`` the rules that decide beside a building.
+      is_itself: ``[N]`` bool, where there is no building and these decide.
+    """
     limits_m = np.where(is_itself, 0.0, LIMITS_M[beside])
     for ranks in held:
         rows = np.flatnonzero(ranks > LAST_WITHOUT_BOUND)
@@ -455,8 +480,7 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray, np
         is_own = is_itself[rows] & (FIRST_OF[others] == FIRST_OF[beside[rows]])
         of_others_m = np.where(BOUNDS_OTHERS[others] & ~is_own, LIMITS_M[others], 0.0)
         limits_m[rows] = np.maximum(limits_m[rows], of_others_m)
-    is_thin = (GIVES[decided] == BUILDING) & ~signs["areas"]
-    return np.where(is_thin, RANKS["building without an area"], decided), beside, limits_m
+    return limits_m
 
 
 def _by_value(
