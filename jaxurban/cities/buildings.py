@@ -349,9 +349,8 @@ def _beside_parts(
 ) -> tuple[Footprints, np.ndarray]:
     """Return buildings in which outlines cover what their parts leave, and which still give way to them, ``[N]`` bool.
 
-    These are outlines with the height of their highest part, and those that would give way but leave a strip of more
-    than `STRIP_M`. As mappers give an outline the height of its tower, the rest of the first is guessed to be as high
-    as the lowest part that stands on the ground, and no higher than the outline's height.
+    These are outlines with the height of their tower (see `_beside_tower_m`), whose rest is guessed to be lower, but no
+    higher than the outline's height; and those that would give way but leave a strip of more than `STRIP_M`.
 
     Args:
       buildings: ``N`` outlines and parts.
@@ -366,27 +365,46 @@ def _beside_parts(
     is_replaced = is_replaced.copy()
     for owner in np.unique(outline[is_own | is_bare[outline]]):
         inner = part[outline == owner]
-        own = inner[is_known[inner] & is_known[owner]]
-        top_m = buildings.height_m[own]
-        standing_m = top_m[buildings.min_height_m[own] == 0]
         height_m = buildings.height_m[owner]
-        lowest_m = standing_m.min(initial=height_m)
-        is_towers = abs(top_m.max(initial=0) - height_m) <= SAME_HEIGHT_M
-        is_towers &= lowest_m < height_m - SAME_HEIGHT_M
-        if not (is_towers or is_replaced[owner]):
+        rest_m = _beside_tower_m(buildings, owner, inner)
+        is_lower = rest_m < height_m
+        if not (is_lower or is_replaced[owner]):
             continue
         covered = shapely.union_all(buildings.polygons[inner])
         rest = polygonal(shapely.difference(buildings.polygons[owner], covered))
-        if rest.is_empty or (is_replaced[owner] and rest.buffer(-STRIP_M / 2).is_empty):
+        is_narrow = is_replaced[owner] and rest.buffer(-STRIP_M / 2).is_empty
+        if rest.is_empty or is_narrow:
             continue
         is_replaced[owner] = False
         reshaped.polygons[owner] = rest
-        if is_towers:
+        if is_lower:
             assert reshaped.limit_m is not None
-            reshaped.height_m[owner] = lowest_m
+            reshaped.height_m[owner] = rest_m
             reshaped.origin[owner] = HeightOrigin.BESIDE_PARTS
             reshaped.limit_m[owner] = height_m
     return reshaped, is_replaced
+
+
+def _beside_tower_m(buildings: Footprints, owner: int, inner: np.ndarray) -> float:
+    """Return how high an outline is beside its tower, whose height mappers give it; its own height where they do not.
+
+    They do where its highest part is as high, and a lower one stands on the ground: as high as the lowest of these is
+    the rest.
+
+    Args:
+      buildings: outlines and parts; only known heights count.
+      owner: index of the outline.
+      inner: indices of its parts.
+    """
+    height_m = buildings.height_m[owner]
+    if buildings.origin[owner] != HeightOrigin.HEIGHT:
+        return height_m
+    known = inner[buildings.origin[inner] == HeightOrigin.HEIGHT]
+    part_m = buildings.height_m[known]
+    lowest_m = part_m[buildings.min_height_m[known] == 0].min(initial=height_m)
+    has_tower = abs(part_m.max(initial=0) - height_m) <= SAME_HEIGHT_M
+    is_lower = lowest_m < height_m - SAME_HEIGHT_M
+    return lowest_m if has_tower and is_lower else height_m
 
 
 def _copied(buildings: Footprints) -> Footprints:
