@@ -89,14 +89,13 @@ def to_structures(
       waters: what bridges may cross.
       learns: as of `to_buildings`.
     """
+    # One row for each of the spans, until some are left out.
     spans = in_spans(outlines)
     others, learned = _others_of(spans, file, waters, learns)
-    found = _structures(others)
-    roof_m = _roofs_below_m(found, spans.polygons, buildings)
-    rows = with_supports(
-        _on_roofs(found, roof_m), spans.polygons
-    )  # still one for each of the spans
-    names_building = _names_building(found, spans) & (roof_m > 0)
+    on_ground = _structures(others)
+    roof_m = _roofs_below_m(on_ground, spans.polygons, buildings)
+    rows = with_supports(_on_roofs(on_ground, roof_m), spans.polygons)
+    names_building = _names_building(on_ground, spans) & (roof_m > 0)
     has_no_height = (rows.height_m == 0) & (rows.kinds != UNKNOWN)
     structures = rows.take(~has_no_height & ~names_building).joined(_guys(rows, spans))
     is_unknown = structures.kinds == UNKNOWN
@@ -217,28 +216,34 @@ def _height_origin(others: _Others) -> np.ndarray:
 
 
 def _bound_m(others: _Others) -> np.ndarray:
-    """Return ``[N]`` the bound: that of the kind, but none where higher is likely or estimated.
+    """Return ``[N]`` the bound: that of the kind, but none where higher is likely, estimated or a rough word.
 
     Nor has one what has a height that cannot be read. It is not below what the file knows of the same row of the table.
-    What is not whole has that of its building.
+    What is not whole has that of its building (`_hull_bounds_m`), over what its outline rises.
     """
+    stated = others.stated
     tags = others.outlines.tags
-    hull_m2 = shapely.area(shapely.convex_hull(others.outlines.polygons))
-    of_hulls_m = np.where(hull_m2 >= CLASSES_M2[1], np.inf, LIMIT_M)
-    of_hulls_m = limits_by_name_m(others.outlines, of_hulls_m)
-    has_levels = np.isfinite(others.levels_limit_m)
-    of_hulls_m = np.where(has_levels, others.levels_limit_m, of_hulls_m)
-    of_hulls_m = np.fmax(of_hulls_m, tags["kind_limit_m"]) + tags["rise_m"]
-    of_others_m = np.fmax(others.sizes.limit_m, tags["kind_limit_m"])
-    of_kind_m = np.where(others.kinds == HULL, of_hulls_m, of_others_m)
-    is_open = of_kind_m < np.fmax(others.guess_m, others.likely_m)
-    is_doubted = np.isin(others.stated.origin, (HeightOrigin.ROUGH, HeightOrigin.ESTIMATED))
-    is_open |= is_doubted & (others.stated.height_m > of_kind_m)
-    is_open |= others.stated.origin == HeightOrigin.UNREADABLE
+    is_hull = others.kinds == HULL
+    by_kind_m = np.where(is_hull, _hull_bounds_m(others), others.sizes.limit_m)
+    rise_m = np.where(is_hull, tags["rise_m"], 0.0)
+    of_kind_m = np.fmax(by_kind_m, tags["kind_limit_m"]) + rise_m
+    is_likely_higher = np.fmax(others.guess_m, others.likely_m) > of_kind_m
+    is_doubted = np.isin(stated.origin, (HeightOrigin.ROUGH, HeightOrigin.ESTIMATED))
+    is_said_higher = is_doubted & (stated.height_m > of_kind_m)
+    is_unreadable = stated.origin == HeightOrigin.UNREADABLE
+    is_open = is_likely_higher | is_said_higher | is_unreadable
     row = np.where(tags["label"] == "", others.kinds, tags["label"])
     highest_m = pd.Series(others.measured_m).groupby(row, sort=False).transform("max")
     known_m = np.fmax(highest_m.to_numpy(), lengths_m(others.outlines, "estimated_to_m"))
     return np.fmax(np.where(is_open, np.inf, of_kind_m), known_m)
+
+
+def _hull_bounds_m(others: _Others) -> np.ndarray:
+    """Return ``[N]`` the bound of a building that is not whole: by its levels, else by its name, else by its size."""
+    hull_m2 = shapely.area(shapely.convex_hull(others.outlines.polygons))
+    by_size_m = np.where(hull_m2 >= CLASSES_M2[1], np.inf, LIMIT_M)
+    by_name_m = limits_by_name_m(others.outlines, by_size_m)
+    return np.where(np.isnan(others.levels_limit_m), by_name_m, others.levels_limit_m)
 
 
 def limits_by_name_m(outlines: Outlines, others_m: float | np.ndarray) -> np.ndarray:
