@@ -337,13 +337,18 @@ def _check_json(path: Path) -> None:
     rest = ""
     for piece in _pieces_of_json(path):
         text = _plain_json(rest + piece)
-        open_crs = _check_crs_members(text)
+        crs_begins = _check_crs_members(text)
         _check_refers(REFERRING, text)
-        last_letters = max(len(text) - MOST_OF_WORD, 0)
-        rest = text[min(open_crs, last_letters) :]
-        if len(rest) > MOST_OF_CRS:
-            break
-    if len(rest) > MOST_OF_WORD:  # so that it begins with a CRS
+        word_begins = max(len(text) - MOST_OF_WORD, 0)
+        rest = text[min(crs_begins, word_begins) :]
+        _check_crs_ends(rest, MOST_OF_CRS)
+    # More than a word is left only from a CRS on.
+    _check_crs_ends(rest, MOST_OF_WORD)
+
+
+def _check_crs_ends(rest: str, most: int) -> None:
+    """Raise ValueError where more characters are left of a text than may be left if each CRS in it ends."""
+    if len(rest) > most:
         raise ValueError(f"it has a CRS without an end, or of more than {MOST_OF_CRS:,} characters")
 
 
