@@ -171,47 +171,52 @@ def _buildings(
       found: outlines and parts, in a projected CRS.
       file, learns: as of `to_buildings`.
     """
+    # The heights that the file states, and what these say of others.
     is_part, is_deck = found.tags["is_part"], found.tags["is_deck"]
-    buildings, issues = estimate_heights(found.tags, found.polygons, is_part, file)
+    is_outline = ~(is_part | is_deck)
+    stated, issues = estimate_heights(found.tags, found.polygons, is_part, file)
     if is_deck.any():
         layer = pd.to_numeric(pd.Series(found.texts("layer")), errors="coerce")
-        buildings = with_decks(buildings, is_deck, layer.to_numpy(float))
-    is_outline = ~(is_part | is_deck)
+        stated = with_decks(stated, is_deck, layer.to_numpy(float))
     parts = _own_parts(found.polygons, is_outline, is_part)
     of_size = _classes(found.polygons, is_outline, is_part)
     classes = np.where(is_part, PARTS + of_size, of_size)
-    stated_m, known_m = _known_m(buildings, found, parts)
+    stated_m, known_m = _known_m(stated, found, parts)
     learned = learned_from(classes, stated_m * learns, known_m * learns)
-    highest_m = _highest_m(found, of_size, known_m)
+    guessed = stated
     if file.default_height_m is None:
-        is_open = built_shares(found.polygons) < OPEN_SHARE
-        in_open_m = of_classes(learned, classes, "open_guess_m")
-        guess_m = np.where(is_open, in_open_m, of_classes(learned, classes, "guess_m"))
-        buildings = _with_guesses(buildings, found, guess_m)
-    buildings, of_parts = _with_outline_heights(buildings, parts)
-    is_replaced = parts.share >= REPLACED_SHARE
-    issues |= of_parts | {ReadIssue.OUTLINES_REPLACED_BY_PARTS: num_of(is_replaced)}
-    if file.hanging == SLABS:
-        buildings, is_podium = _podiums(buildings, parts, is_replaced)
-        issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = num_of(is_podium)
-        is_replaced &= ~is_podium
+        guessed = _with_guesses(stated, found, learned, classes)
 
+    # Outlines and their parts.
+    fitted, of_parts = _with_outline_heights(guessed, parts)
+    is_covered = parts.share >= REPLACED_SHARE
+    is_podium = np.zeros(len(fitted), bool)
+    issues |= of_parts | {ReadIssue.OUTLINES_REPLACED_BY_PARTS: num_of(is_covered)}
+    if file.hanging == SLABS:
+        fitted, is_podium = _podiums(fitted, parts, is_covered)
+        issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = num_of(is_podium)
+    highest_m = _highest_m(found, of_size, known_m)
     likely_m = of_classes(learned, classes, "likely_m")
-    buildings = replace(
-        buildings,
-        limit_m=_limits_m(buildings, found, file, highest_m, likely_m),
-        likely_m=_likelies_m(buildings, found, likely_m),
+    bounded = replace(
+        fitted,
+        limit_m=_limits_m(fitted, found, file, highest_m, likely_m),
+        likely_m=_likelies_m(fitted, found, likely_m),
         rule=found.tags["rule"],
     )
-    buildings, is_replaced = _beside_parts(buildings, parts, is_replaced)
-    buildings = _within(buildings.take(~is_replaced), file)
+    reshaped, is_replaced = _beside_parts(bounded, parts, is_covered & ~is_podium)
+    buildings = _within(reshaped.take(~is_replaced), file)
     issues[ReadIssue.PARTS_HANGING] = num_of(buildings.min_height_m > 0)
     return buildings, learned, issues
 
 
-def _with_guesses(buildings: Footprints, found: Outlines, guess_m: np.ndarray) -> Footprints:
+def _with_guesses(
+    buildings: Footprints, found: Outlines, learned: dict[str, Learned], classes: np.ndarray
+) -> Footprints:
     """Return buildings that have the guesses of their classes, ``[N]``, where the file says no height."""
-    guess_m = np.minimum(guess_m, limits_by_name_m(found, np.inf))
+    is_open = built_shares(found.polygons) < OPEN_SHARE
+    in_open_m = of_classes(learned, classes, "open_guess_m")
+    of_class_m = np.where(is_open, in_open_m, of_classes(learned, classes, "guess_m"))
+    guess_m = np.minimum(of_class_m, limits_by_name_m(found, np.inf))
     height_m = np.where(buildings.height_m == 0, guess_m, buildings.height_m)
     return replace(buildings, height_m=height_m)
 
@@ -359,11 +364,10 @@ def _beside_parts(
     """
     outline, part, share = parts
     reshaped = _copied(buildings)
-    is_bare = is_replaced & ((1 - share) * shapely.area(buildings.polygons) > STRIP_M)
-    is_known = buildings.origin == HeightOrigin.HEIGHT
-    is_own = is_known[outline] & is_known[part] & ~is_replaced[outline]
+    is_bare = (1 - share) * shapely.area(buildings.polygons) > STRIP_M
+    may_stand = ~is_replaced | is_bare
     is_replaced = is_replaced.copy()
-    for owner in np.unique(outline[is_own | is_bare[outline]]):
+    for owner in np.unique(outline[may_stand[outline]]):
         inner = part[outline == owner]
         height_m = buildings.height_m[owner]
         rest_m = _beside_tower_m(buildings, owner, inner)
@@ -392,7 +396,7 @@ def _beside_tower_m(buildings: Footprints, owner: int, inner: np.ndarray) -> flo
     the rest.
 
     Args:
-      buildings: outlines and parts; only known heights count.
+      buildings: outlines and parts, of which only known heights count.
       owner: index of the outline.
       inner: indices of its parts.
     """
@@ -460,18 +464,15 @@ def _repaired(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Args:
       shapes: ``[N]``; those without a vertex, or None, are left as they are.
     """
-    to_repair = np.flatnonzero(
-        (shapely.get_num_coordinates(shapes) > 0) & ~shapely.is_valid(shapes)
-    )
-    areas = [polygonal(each) for each in shapely.make_valid(shapes[to_repair], method="structure")]
+    is_broken = (shapely.get_num_coordinates(shapes) > 0) & ~shapely.is_valid(shapes)
+    broken = shapes[is_broken]
+    areas = [polygonal(each) for each in shapely.make_valid(broken, method="structure")]
     became_flat = shapely.is_empty(areas)
     valid = shapes.copy()
-    valid[to_repair] = np.where(became_flat, shapely.convex_hull(shapes[to_repair]), areas)
+    valid[is_broken] = np.where(became_flat, shapely.convex_hull(broken), areas)
     is_flat = np.zeros(len(shapes), bool)
-    is_flat[to_repair] = became_flat
-    is_repaired = np.zeros(len(shapes), bool)
-    is_repaired[to_repair] = ~became_flat
-    return valid, is_repaired, is_flat
+    is_flat[is_broken] = became_flat
+    return valid, is_broken & ~is_flat, is_flat
 
 
 def _unwrapped(shapes: np.ndarray) -> np.ndarray:
@@ -567,16 +568,17 @@ def _with_outline_heights(buildings: Footprints, parts: Parts) -> tuple[Footprin
     # From the lowest outline up, so that of several outlines of a part the highest is written last.
     lowest_first = np.argsort(buildings.height_m[parts.outline], kind="stable")
     outline, part = parts.outline[lowest_first], parts.part[lowest_first]
-    height_m = buildings.height_m.copy()
-    origin = buildings.origin.copy()
-    is_default = origin == HeightOrigin.DEFAULT
-    # A part that hangs above its outline's roof is not as high as it but higher.
-    takes = is_default[part] & ~is_default[outline]
-    takes &= height_m[outline] > buildings.min_height_m[part]
-    height_m[part[takes]] = height_m[outline[takes]]
-    origin[part[takes]] = origin[outline[takes]]
-    # Undersides.
     min_height_m = buildings.min_height_m
+    is_default = buildings.origin == HeightOrigin.DEFAULT
+    # A part that hangs above its outline's roof is not as high as it but higher.
+    is_above = min_height_m[part] >= buildings.height_m[outline]
+    takes = is_default[part] & ~is_default[outline] & ~is_above
+    height_m = buildings.height_m.copy()
+    height_m[part[takes]] = buildings.height_m[outline[takes]]
+    origin = buildings.origin.copy()
+    origin[part[takes]] = buildings.origin[outline[takes]]
+
+    # Roofs at their undersides or below.
     is_wrong = min_height_m >= height_m
     is_known = origin == HeightOrigin.HEIGHT
     issues = {
