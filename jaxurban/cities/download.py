@@ -192,12 +192,10 @@ def _receive(source: Source, scratch: Path, most_bytes: int) -> None:
         session.headers["User-Agent"] = (
             f"jaxurban/{importlib.metadata.version('jaxurban')} (jaxurban fetch)"
         )
-        session.adapters.clear()  # so that no redirect leads from https to http
-        schemes = ["https://"]
-        if not source.url.startswith("https:"):
-            schemes.append("http://")
-        for scheme in schemes:
-            session.mount(scheme, adapter)
+        session.adapters.clear()
+        session.mount("https://", adapter)
+        if not source.url.startswith("https:"):  # so that no redirect leads from https to http
+            session.mount("http://", adapter)
 
         with (
             session.get(
