@@ -238,11 +238,10 @@ def _is_usable(value_m: np.ndarray) -> np.ndarray:
 
 def _is_rough(column: np.ndarray) -> np.ndarray:
     """Return ``[N]`` whether a height is said to be a guess, such as ~30."""
-    if column.dtype != object:
-        return np.zeros(len(column), bool)
     is_rough = np.zeros(len(column), bool)
-    is_filled = ~pd.isna(column)
-    is_rough[is_filled] = [ROUGH.search(str(value)) is not None for value in column[is_filled]]
+    if column.dtype == object:  # numbers alone say nothing of it
+        is_filled = ~pd.isna(column)
+        is_rough[is_filled] = [ROUGH.search(str(value)) is not None for value in column[is_filled]]
     return is_rough
 
 

@@ -133,7 +133,7 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
     is_low = _is_far_below(layers[GROUND], max(FAR_BELOW_M, FAR_BELOW_SIDES * cells.side))
     ground = np.where(is_low, np.float32(np.nan), layers[GROUND])
     surface = np.where(np.isnan(roofs), ground, roofs)
-    highest = np.fmax(np.fmax(roofs, plants), ground)
+    highest = np.fmax.reduce([roofs, plants, ground])
     transform = (cells.side, 0.0, cells.left, 0.0, cells.side, cells.low)
     on_grid = partial(Raster, transform=transform, crs=crs.to_2d().to_string())
     by_class = {f"of class {number}": int(count) for number, count in enumerate(counts)}

@@ -53,7 +53,6 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
     is_unnamed = outlines.texts("building") == ""
     is_buried = outlines.says("parking", [ReadIssue.UNDERGROUND])
     is_unknown = np.isnan(height_m) & ~(is_worded | is_named) & (outlines.texts("wind") == "")
-    is_of_wind = outlines.says("wind", WIND)
     return {
         **_building_signs(outlines, is_area, has_names, has_decks),
         **of_something_else,
@@ -68,7 +67,9 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
         "low": is_low,
         "pond": is_area & outlines.says("natural", ["water"]),
         "way of traffic above the ground": is_traffic & is_way & ~is_low,
-        "wind turbine": is_of_wind | _has(outlines, "rotor") | _has(outlines, "hub"),
+        "wind turbine": (
+            outlines.says("wind", WIND) | _has(outlines, "rotor") | _has(outlines, "hub")
+        ),
         "generator of unknown source and height": (
             is_unknown & outlines.says("power", ["generator"])
         ),

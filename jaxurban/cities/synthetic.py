@@ -109,9 +109,9 @@ def demo_city(
     crs = crs or utm_crs(lon_deg, lat_deg)
     projected_crs(crs)
     _check_size(width_m, height_m, "width_m x height_m")
-    centre = transformer(WGS84, crs).transform(lon_deg, lat_deg)
-    x_min = round((centre[0] - width_m / 2) / SNAP_M) * SNAP_M
-    y_min = round((centre[1] - height_m / 2) / SNAP_M) * SNAP_M
+    x, y = transformer(WGS84, crs).transform(lon_deg, lat_deg)
+    x_min = round((x - width_m / 2) / SNAP_M) * SNAP_M
+    y_min = round((y - height_m / 2) / SNAP_M) * SNAP_M
     return _build((x_min, y_min, x_min + width_m, y_min + height_m), crs, seed)
 
 
@@ -152,10 +152,10 @@ def _box_around(bounds: Sequence[float], crs: str | None) -> tuple[Box, str]:
     """
     crs = crs or utm_of(check_bounds(bounds))
     projected_crs(crs)
-    x_min, y_min, x_max, y_max = box_of(check_bounds(bounds), crs)
-    _check_size(x_max - x_min, y_max - y_min, f"bounds {list(bounds)}")
-    low = np.floor(np.array([x_min, y_min]) / SNAP_M) * SNAP_M
-    high = np.ceil(np.array([x_max, y_max]) / SNAP_M) * SNAP_M
+    low_xy, high_xy = np.reshape(box_of(check_bounds(bounds), crs), (2, 2))
+    _check_size(*(high_xy - low_xy), f"bounds {list(bounds)}")
+    low = np.floor(low_xy / SNAP_M) * SNAP_M
+    high = np.ceil(high_xy / SNAP_M) * SNAP_M
     return (*low.tolist(), *high.tolist()), crs
 
 
@@ -211,9 +211,8 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
     plan = _Plan(extent_m)
 
     # Street blocks out to the middle of their streets, as far as they lie in the box; none in the river and the park.
-    side_m = (
-        plan.box.length / 4
-    )  # the mean of both, so that the rows reach beyond half the diagonal
+    # Rows as far as the mean side of the box reach beyond half its diagonal.
+    side_m = plan.box.length / 4
     num_rows = math.ceil(side_m / min(plan.pitch_m))
     steps = np.indices((2 * num_rows, 2 * num_rows)).reshape(2, -1).T - num_rows
     corners_m = steps * plan.pitch_m

@@ -19,9 +19,8 @@ def in_spans(outlines: Outlines) -> Outlines:
     Args:
       outlines: from `what_stands`.
     """
-    names = [
-        getattr(verdict, "name", "") for verdict in outlines.tags["verdict"]
-    ]  # "" of buildings
+    # Buildings have no name of a kind.
+    names = [getattr(verdict, "name", "") for verdict in outlines.tags["verdict"]]
     dimension = shapely.get_dimensions(outlines.polygons)
     is_wire = np.isin(names, WIRES) & (dimension > 0)
     wires = np.flatnonzero(is_wire)
