@@ -446,12 +446,11 @@ def _held_by_values(outlines: Outlines, signs: Signs) -> list[np.ndarray]:
     Args:
       outlines, signs: as of `decide`.
     """
-    words = {tag: outlines.words(tag) for tag in OF_KEYS.keys() & outlines.tags}
     of_shapes: defaultdict[str, list[np.ndarray]] = defaultdict(list)
     for key, rules in VALUES.items():
         tag, _, shape = key.partition(" of ")
-        if tag in words:
-            of_shapes[shape].append(_by_value(*words[tag], signs, rules))
+        if tag in outlines.tags:
+            of_shapes[shape].append(_by_value(*outlines.words(tag), signs, rules))
     held = []
     for shape, of_keys in of_shapes.items():
         is_it = np.ones(len(outlines.polygons), bool) & signs.get(shape, True)
