@@ -12,6 +12,7 @@ import pandas as pd
 from pyproj.exceptions import ProjError
 
 from jaxurban.errors import InputError
+from jaxurban.io.city import joined_credits
 from jaxurban.io.issues import ReadIssues
 from jaxurban.world.grid import Bounds, known_crs, transformer
 
@@ -112,7 +113,7 @@ def joined_outlines(path: Path, several: Sequence[Outlines]) -> Outlines:
         first.crs,
         tuple(box for each in several for box in each.boxes),
         dict(issues),
-        "; ".join(dict.fromkeys(filter(None, (each.attribution for each in several)))),
+        joined_credits(*(each.attribution for each in several)),
         any(each.is_part for each in several),
     )
 
