@@ -324,19 +324,7 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
         shutil.copyfile(path, stage / source.file)
         for section, values in sections.items():
             settings.setdefault(section, {}).update(values)
-        fetched = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-        files.append(
-            {
-                "source": source.name,
-                "file": source.file,
-                "credit": source.credit,
-                "licence": source.licence,
-                "url": source.url,
-                "fetched_utc": fetched.isoformat(timespec="seconds"),
-                "num_bytes": path.stat().st_size,
-                "sha256": path.name.split("-")[1],  # see `download`
-            }
-        )
+        files.append(_entry_of(source, path))
     if not files:
         raise InputError(f"nothing of --what can be fetched here ({'; '.join(left_out)})")
 
@@ -354,6 +342,26 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
         )
         (stage / SCENARIO_FILE).write_text(f"{head}\n\n{tomli_w.dumps(settings)}", encoding="utf-8")
     return record
+
+
+def _entry_of(source: Source, path: Path) -> Settings:
+    """Return what `RECORD_FILE` says of a file: where it is from, whose it is, when it came, and what it is.
+
+    Args:
+      source: of the file.
+      path: of its copy in the cache, of which `download` makes the name.
+    """
+    fetched = datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    return {
+        "source": source.name,
+        "file": source.file,
+        "credit": source.credit,
+        "licence": source.licence,
+        "url": source.url,
+        "fetched_utc": fetched.isoformat(timespec="seconds"),
+        "num_bytes": path.stat().st_size,
+        "sha256": path.name.split("-")[1],
+    }
 
 
 def _read_osm(job: FetchJob, path: Path, file: str) -> Settings:
