@@ -153,7 +153,8 @@ def _box_around(bounds: Sequence[float], crs: str | None) -> tuple[Box, str]:
     crs = crs or utm_of(check_bounds(bounds))
     projected_crs(crs)
     low_xy, high_xy = np.reshape(box_of(check_bounds(bounds), crs), (2, 2))
-    _check_size(*(high_xy - low_xy), f"bounds {list(bounds)}")
+    width_m, height_m = high_xy - low_xy
+    _check_size(width_m, height_m, f"bounds {list(bounds)}")
     low = np.floor(low_xy / SNAP_M) * SNAP_M
     high = np.ceil(high_xy / SNAP_M) * SNAP_M
     return (*low.tolist(), *high.tolist()), crs
