@@ -431,8 +431,8 @@ def decide(outlines: Outlines, signs: Signs) -> tuple[np.ndarray, np.ndarray, np
       Two indices of `RULES`, ``[N]`` each: of the rule that decides, and of the one that decides beside a building; and
       the highest bound of the rules that give another kind, in metres, 0 without one.
     """
-    by_signs = [RANKS[name] * signs[name] for name in signs.keys() & (ALONE | THINGS)]
-    held = by_signs + _held_by_values(outlines, signs)
+    held = [RANKS[name] * signs[name] for name in signs.keys() & (ALONE | THINGS)]
+    held += _held_by_values(outlines, signs)
     beside = reduce(np.maximum, held)
     decided = reduce(np.maximum, [RANKS[name] * signs[name] for name in BUILDINGS], beside)
     limits_m = _limits_of_others_m(held, beside, decided == beside)
