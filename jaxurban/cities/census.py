@@ -468,7 +468,7 @@ def zoning_of(
       residential ones do, and are counted apart.
     """
     manhattan = set(PAPER_DISTRICTS).intersection(labels)
-    residential = (manhattan if manhattan else set(labels)) - {OTHER_DISTRICT}
+    residential = (manhattan or set(labels)) - {OTHER_DISTRICT}
     is_commercial = np.isin(district, list(commercial))
     is_residential = np.isin(district, list(residential)) & ~is_commercial
     return np.select(
