@@ -10,7 +10,7 @@ from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 import jaxurban as ju
-from jaxurban.draw.frame import mark_ends
+from jaxurban.draw.frame import ENDS, mark_ends
 from jaxurban.draw.write import write_picture
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.differentiable import SoftParams, soften
@@ -29,7 +29,7 @@ def plot_costs(city: ju.City, xy_m: np.ndarray, table: pd.DataFrame) -> Figure:
     assert city.buildings is not None
     polygons = city.buildings.polygons
     most = 10.0 ** np.ceil(np.log10(table["per_metre"].abs().max()))
-    figure = Figure(figsize=(5.5, 6.5), layout="constrained")
+    figure = Figure(figsize=(5.5, 7.2), layout="constrained")
     panel = figure.subplots()
     gpd.GeoSeries(polygons).plot(ax=panel, color="white", edgecolor="#999999", linewidth=0.25)
     gpd.GeoDataFrame(table, geometry=polygons[table["building"]]).plot(
@@ -41,13 +41,16 @@ def plot_costs(city: ju.City, xy_m: np.ndarray, table: pd.DataFrame) -> Figure:
         linewidth=0.25,
         legend=True,
         legend_kwds={
-            "label": f"cost of one more metre of a building to the route, {ALTITUDE_M:g} m up",
+            "label": f"change of the route's cost with one more metre of height, {ALTITUDE_M:g} m up\n"
+            "blue: cheaper, as walls return more lidar; red: costlier, as\n"
+            "they hide satellites or come near (logarithmic on both sides of 0)",
             "orientation": "horizontal",
             "shrink": 0.8,
             "ticks": [-most, -most / 100, 0, most / 100, most],
+            "format": "{x:g}",
         },
     )
-    panel.plot(*xy_m.T, color="#111111", linewidth=1.5)
+    (route,) = panel.plot(*xy_m.T, color="#111111", linewidth=1.5, label="route")
     (west, south), (east, north) = xy_m.min(axis=0) - AROUND_M, xy_m.max(axis=0) + AROUND_M
     panel.set(
         xlim=(west, east),
@@ -59,6 +62,7 @@ def plot_costs(city: ju.City, xy_m: np.ndarray, table: pd.DataFrame) -> Figure:
     panel.locator_params(nbins=4)
     panel.set_title("What one more metre of a building costs the route")
     mark_ends(panel, xy_m[0], xy_m[-1])
+    panel.legend(handles=[route, *ENDS], loc="upper left", fontsize="small")
     return figure
 
 

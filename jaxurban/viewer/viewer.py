@@ -25,7 +25,7 @@ from jaxurban.flights.export.base import waypoints
 from jaxurban.flights.missions.mission import MOST_BYTES, read_mission
 from jaxurban.flights.report import FOUND_COLOUR
 from jaxurban.flights.return_altitude import NAME, return_altitude
-from jaxurban.io.city import City
+from jaxurban.io.city import NEAR_M, City
 from jaxurban.io.store import OPENED
 from jaxurban.io.tables import number_or_none
 from jaxurban.knowledge import shown_rule
@@ -381,7 +381,11 @@ class Viewer:
         shown = things[["kind", "height_m", "highest_m", "known_by", "rule"]]
         shown.columns = shown.columns.str.replace("_", " ")
         table = shown.to_html(index=False, index_names=False, border=0, na_rep="?")
-        return sentences([("note", str(things.columns.name))]) + table
+        said = str(things.columns.name)
+        away_m = things["distance_m"].min()
+        if away_m > NEAR_M:
+            said += f"; the nearest thing is {away_m:.1f} m away:"
+        return sentences([("note", said)]) + table
 
     def legend(self, view: View) -> dict[str, Any]:
         """Return how the values of a view become colours (`legend_of`).

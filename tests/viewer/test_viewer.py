@@ -662,6 +662,7 @@ def test_a_place_says_what_stands_there_and_why_and_maps_alone_say_nothing_of_it
     assert cells == ["building", "8.0", "8.0", "a height in its file", "building"]
     assert "this stands at" in said(30, 40)
     assert "nothing stands at" in said(120, 40)
+    assert "; the nearest thing is 60.0 m away:" in said(120, 40)
     assert "attraction=&lt;b&gt;wheel" in said(230, 150)
     assert "<td>?</td>" in said(230, 150)  # of unknown height
     with pytest.raises(InputError, match="give a place in the city"):

@@ -490,6 +490,7 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
   };
   for (const button of all('[data-tab]')) button.onclick = () => {
     choose(button.dataset.tab);
+    for (const box of [aside, root.querySelector('.jv-side')]) box.scrollTop = 0; // its first line stands on top
     open(true);
     keep();
     draw();
