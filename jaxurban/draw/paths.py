@@ -156,6 +156,8 @@ def plot_paths(
 ) -> Figure:
     """Return the normalised cost by altitude (the paler, the better) with the paths of all planners.
 
+    The cost is that under the weights of the paths; where these differ, and without paths, all weights are 1.
+
     The scale holds the costs of all but a few of the free cells that are shown (`SHOWN_SHARES`). Of maps that are much
     larger than the surroundings of the paths, these alone are drawn.
 
@@ -221,7 +223,10 @@ def plot_paths(
     # The note: sky and maps, and the rules of the routes.
     facts = frame_note(maps, None if has_times else times.pop())
     rules = rules_said(*(each.path.settings for each in drawn))
-    note = joined(facts, rules, grid_said(drawn), by="\n")
+    of_cost = ""
+    if drawn and not shared_weights(planned):
+        of_cost = "cost: that of all weights 1, as those of the routes differ"
+    note = joined(facts, rules, of_cost, grid_said(drawn), by="\n")
 
     # The legend: what no path enters, and each path that is drawn in its colour.
     colours = planner_colours(each.name for each in named)
@@ -324,7 +329,14 @@ def _cost_panel(
     if len(named) > MOST_LISTED:
         foot = batch_line([each.path for each in named])
     is_closed = closed_at(maps, place, [each.path for each in named])
-    return MapPanel(title, cost_layers(maps, *place), foot, is_closed=is_closed)
+    layers = cost_layers(maps, *place, shared_weights([each.path for each in named]))
+    return MapPanel(title, layers, foot, is_closed=is_closed)
+
+
+def shared_weights(paths: Sequence[PlannedPath]) -> dict[str, float]:
+    """Return the weights under which all of some paths were planned; none where these differ, or without paths."""
+    named = [path.settings["weights"] for path in paths]
+    return dict(named[0]) if named and all(each == named[0] for each in named) else {}
 
 
 def _places_at(
@@ -350,17 +362,29 @@ def _places_at(
 
 
 def cost_layers(
-    maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None
+    maps: MetricMaps,
+    altitude_m: float,
+    time: str | None,
+    time_of_day: str | None,
+    weights: Mapping[str, float] | None = None,
 ) -> list[DrawnMap]:
     """Return the normalised cost (0: best free cell, 1: worst) and, over it, the obstacles, as layers of a picture.
 
     Between two altitudes of the maps the costs are those that planners pay there (`cost_map`).
+
+    Args:
+      maps: of the cost.
+      altitude_m, time, time_of_day: which map of it.
+      weights: of the metrics; 1 for those that are left out, as of H_total.
     """
     if altitude_m in maps.altitudes_m:
-        norm = maps.normalised(altitude_m, time=time, time_of_day=time_of_day)
+        costs = maps.costs(altitude_m, time=time, time_of_day=time_of_day)
     else:
         between = cost_map(maps, altitude_m, time=time, time_of_day=time_of_day)
-        norm = scaled_over(maps.is_free(altitude_m, "centre"), between.costs.sum(axis=0))
+        costs = dict(zip(between.names, between.costs, strict=True))
+    named = weights or {}
+    total = np.sum([named.get(name, 1.0) * cost for name, cost in costs.items()], axis=0)
+    norm = scaled_over(maps.is_free(altitude_m, "centre"), total)
     colours = colours_of_cost(norm)
     return [DrawnMap(norm, colours), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
 
@@ -575,7 +599,7 @@ def plot_overview(
 
     # The cost. It is the last layer of its panel, which has the colour bar, as obstacles have none of their own.
     what = " and paths" if drawn else ""
-    cost, obstacles = cost_layers(maps, *place)
+    cost, obstacles = cost_layers(maps, *place, shared_weights(drawn))
     title = joined(f"Cost{what}", time_of_day)
     is_closed = closed_at(maps, place, drawn)
     panels.append(MapPanel(title, [obstacles, cost], is_closed=is_closed))
