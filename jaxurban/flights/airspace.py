@@ -30,7 +30,7 @@ from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, readable, warn
 from jaxurban.flights.missions.parts import GEOD, circle_around
 from jaxurban.io.broken import BROKEN
-from jaxurban.io.sniff import in_own_words, sniff, unpacked
+from jaxurban.io.sniff import HEAD_BYTES, in_own_words, sniff, unpacked
 from jaxurban.io.tables import is_blank
 from jaxurban.io.zone import TURN, Zone, made_valid
 from jaxurban.public import listed
@@ -76,6 +76,7 @@ GEOZONE_FORMATS = (".geojson", ".geojsonl")  # of `sniff`
 GEOZONE = re.compile(
     rb'"(horizontalProjection|limitedApplicability|(lower|upper)Reference)"|"extent"\s*:\s*\{'
 )
+OF_HEIGHTS = re.compile("|".join(FLOOR_NAMES + CEILING_NAMES).encode(), re.IGNORECASE)
 OPEN = "NO_RESTRICTION"  # a zone that informs, and closes nothing
 ON_APPROVAL = {"REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL"}
 CLOSED = {"PROHIBITED"} | ON_APPROVAL
@@ -110,6 +111,13 @@ MODEL, SQLITE = b"<Model", b"SQLite format 3"
 SHAPE_NAMES = ("geometry", "geometries", "geom", "wkt", "wkb", "shape")
 Json = Mapping[str, Any]
 Remarks = list[str]  # of one zone, keys of `REMARKS`
+
+
+def is_of_zones(path: Path) -> bool:
+    """Return whether a file begins as one of zones, which other outlines do not: by names of limits that are read."""
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    return bool(GEOZONE.search(head) or OF_HEIGHTS.search(head))
 
 
 def read_zones(path: str | Path) -> tuple[Zone, ...]:

@@ -204,6 +204,18 @@ def _in_force(limits: Constraints, times: Sequence[str]) -> Constraints:
     return replace(limits, zones=tuple(replace(zone, start=None, end=None) for zone in zones))
 
 
+def _swapped(mission: Mission, maps: MetricMaps) -> list[str]:
+    """Return a sentence on the first item of a mission that lies on maps with longitude and latitude swapped."""
+    grid = maps.grid
+    lon, lat = np.array([leg.end[:2] for leg in mission.legs]).T
+    is_on = grid.contains_xy(*grid.xy_of_lonlat(lon, lat))
+    is_swapped = ~is_on & grid.contains_xy(*grid.xy_of_lonlat(lat, lon))
+    return [
+        f"Item {mission.legs[number].item} lies elsewhere: {grid.outside_said(lon[number], lat[number])}."
+        for number in np.flatnonzero(is_swapped)[:1]
+    ]
+
+
 def _above_roof(flight: Flight, buildings: Prisms) -> list[str]:
     """Return a sentence where home is named higher above the ground than any roof there is known to be."""
     above_m = flight.mission.home_above_ground_m
@@ -244,6 +256,8 @@ def _not_judged(
             sentences.append(f"{guess.name}.")
     if mission.home is not None and maps.grid.is_swapped(*mission.home):
         sentences.append(f"Home lies elsewhere: {maps.grid.outside_said(*mission.home)}.")
+    if len(flight.lines_m):  # else the state says where the mission lies
+        sentences += _swapped(mission, maps)
     sentences += _above_roof(flight, buildings)
     sentences += [f"{text[:1].upper()}{text[1:]}." for text in mission.not_judged]
     if not mission.legs:

@@ -43,14 +43,15 @@ class MissionCheck(Result):
     """What a check of a mission found.
 
     Attributes:
-      findings: a row each: ``kind`` (``"building"``, ``"terrain"``, ``"zone"``, ``"closed"`` or ``"limit"``),
-        ``what``, ``item`` (in the file, flown toward), ``lon`` and ``lat`` of the first contact, ``along_m`` and
-        ``to_m`` along the mission, ``height_m`` above the ground there, ``building_m``
-        (the roof's height), ``by_m`` (metres inside, below the ground or short of the clearance; of a limit, beyond it)
-        ``is_guessed``; ``clear_m`` (the height above the ground that clears it, up to the ceiling) and ``aside_m`` (how
-        far to go to the right, or to the left where it is negative), NaN where none is known; ``autopilot``, the only
-        one that meets it (``""``: all that it is judged for). A limit, for which no way out is looked for, is placed
-        where the fix is first and last lost, or at the densest kilometre.
+      findings: a row each: ``kind`` (``"building"``, ``"terrain"``, ``"zone"``, ``"closed"`` or ``"limit"``), ``what``,
+        ``item`` (in the file, flown toward), ``lon`` and ``lat`` of the first contact, ``along_m`` and ``to_m`` along
+        the mission, ``height_m`` above the ground there, ``building_m`` (the roof's height), ``by_m`` (metres inside,
+        below the ground or short of the clearance; of a limit, beyond it) ``is_guessed``; ``clear_m`` (the height above
+        the ground that clears it, up to the ceiling) and ``aside_m`` (how far to go to the right, or to the left where
+        it is negative), NaN where none is known; ``to_item``, toward which the end of that stretch is flown: if it is
+        another one than ``item``, the corners between these are moved with their legs; ``autopilot``, the only one that
+        meets it (``""``: all that it is judged for). A limit, for which no way out is looked for, is placed where the
+        fix is first and last lost, or at the densest kilometre.
       not_judged: sentences, of stretches with the place at which the first begins.
       figures: lengths, metres without a fix, people, and clearances by cells, as in the report of a route.
       outlines: ``"exact outlines"``, or ``"by cells"``, with the reason.
@@ -156,7 +157,7 @@ class MissionCheck(Result):
 
     @property
     def lines(self) -> list[str]:
-        """The check for a terminal: the state, findings, what was not judged or was guessed, and figures."""
+        """The check for a terminal: state, findings, what was not judged or was guessed, figures, and the return."""
         facts = self.facts
         state = facts.pop("state")
         figures = [f"{name}: {fact}" for name, fact in facts.items()]
@@ -165,10 +166,9 @@ class MissionCheck(Result):
             "not judged": self.not_judged,
             "note": self.notes,
             "guessed": [guess.name for guess in self.maps.guesses],
-            "return": self.return_lines,
         }
         listed = [f"  {name}: {text}" for name, texts in parts.items() for text in texts]
-        return [state, *listed, *figures]
+        return [state, *listed, *figures, *(f"return: {text}" for text in self.return_lines)]
 
     @property
     def known_cautions(self) -> list[Caution]:
@@ -285,9 +285,13 @@ def _sentence_of(row: Mapping[Any, Any]) -> str:
     if not math.isnan(row["height_m"]):
         place += f", {row['height_m']:.1f} m above the ground"
     side = "left" if row["aside_m"] < 0 else "right"
+    corner = ""
+    if row["to_item"] > row["item"]:
+        items = f"item {row['item']:.0f} to before item {row['to_item']:.0f}"
+        corner = f", with each corner from {items} moved so that its legs stay parallel"
     ways = {
         f"at {row['clear_m']:.0f} m above the ground": row["clear_m"],
-        f"{abs(row['aside_m']):.0f} m to the {side}": row["aside_m"],
+        f"{abs(row['aside_m']):.0f} m to the {side}{corner}": row["aside_m"],
     }
     clear = " or ".join(way for way, metres in ways.items() if not math.isnan(metres))
     return f"{sentence}: {where}, at {place}.{clear and f' It is clear {clear}.'}"

@@ -20,7 +20,8 @@ def corners_of(flight: Flight) -> Steps:
     """Return chords inside of the corners of a mission, as steps: three of each corner.
 
     A chord joins the two legs at equal distances from the corner; the last is as far from it as the vehicle turns, but
-    begins and ends no more than `MOST_CUT_M` or half a leg away. Its heights are those of the legs there.
+    begins and ends no more than `MOST_CUT_M` or half a leg away. Its heights are those of the legs there. Its leg
+    is the one that leads to the corner.
     """
     steps = flight.steps
     at = _steps_at_corners(flight.mission.legs, steps)
@@ -47,6 +48,7 @@ def corners_of(flight: Flight) -> Steps:
         ends_m=chords[..., :2],
         z_m=chords[..., 2],
         ground_m=flight.ground.at(chords[..., :2]),
+        leg=steps.leg[np.repeat(before, len(SHARES))],
         along_m=corners.along_m[:, :1] + back_m.reshape(-1, 1) * [-1, 1],
     )
 

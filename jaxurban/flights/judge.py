@@ -20,11 +20,15 @@ from jaxurban.paths.constraints import Bound, Constraints, gps_floor_m
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.profile import nearest_level_m
 from jaxurban.paths.steps import Steps
+from jaxurban.public import listed
 from jaxurban.world.kinds import WIRES
 
 # So near an altitude of the maps a step is at it: files round heights up to centimetres.
 LEVEL_M = 0.02
-CUT = "lie at corners that autopilots cut, with an obstacle or a zone there, or nearer than the clearance"
+CUT = (
+    "lie at corners that autopilots cut (at item {}), with an obstacle or a zone there, or nearer than the clearance: "
+    "move these corners away from what lies within them, or let the vehicle stop there"
+)
 NO_DATA = "lie over cells without data"
 NO_CITY = "lie where the source of the buildings does not know what stands"
 UNKNOWN_ROOFS = "lie over roofs of guessed height, or nearer to them than the clearance: what is there ({kind}) {reach}"
@@ -34,7 +38,7 @@ LIKELY_ROOFS = (
 )
 SPAN = ["from_m", "to_m"]
 ASIDE_M = np.array(sorted(range(-100, 101), key=abs))  # to the right; to the left below 0
-REMEDY = ["clear_m", "aside_m"]
+REMEDY = ["clear_m", "aside_m", "to_item"]
 PLACE = ["lon", "lat", "along_m", "to_m", "height_m"]
 UNJUDGED = ["kind", "reason", "item", "lon", "lat", "along_m", "to_m"]
 COLUMNS = ["kind", "what", "item", *PLACE, "building_m", "by_m", "is_guessed", *REMEDY]
@@ -85,7 +89,7 @@ def judged(
         findings = [
             *_buildings(near, buildings, limits),
             _buried(steps),
-            _zones(steps, ground, limits.zones),
+            _zones(steps, ground, limits.zones, ceiling_m),
             *_closed(steps, maps, limits, times, time_of_day),
         ]
         found = placed(pd.concat(findings, ignore_index=True), flight, steps)
@@ -156,7 +160,9 @@ def _cleared(
       The findings with ``clear_m``, the least height above the ground that clears the part of the flight that has the
       finding, in whole metres; and ``aside_m``, how far that part must go to the right, parallel and at the elevation
       that it has (to the left where it is negative). NaN where none is sure (beside, below the highest ground of the
-      maps), on a take-off or landing, and of closed cells.
+      maps), on a take-off or landing, and of closed cells. ``to_item`` is the item that the end of that part is flown
+      toward: where it is another one than ``item``, the part goes round corners, and legs that are moved aside end
+      where they cross.
     """
     ground = flight.ground
     is_low = np.array([zone.ceiling_m <= ceiling_m for zone in limits.zones], bool)
@@ -171,13 +177,14 @@ def _cleared(
         line = shapely.simplify(shapely.linestrings(part.ends_m.reshape(-1, 2)), TOUCH_M)
         if row["kind"] == "closed" or flight.is_on_site(part).any():
             line = None
-        ways = shapely.offset_curve(line, -ASIDE_M)
+        ways = shapely.offset_curve(line, -ASIDE_M, join_style="mitre")
         least_m = least_clear(ways, buildings, ground, known, limits)
         clear_m = np.ceil(max(least_m[0] - part.ground_m.min(), limits.vertical_m))
         own_m = (part.ground_m + part.z_m).min()
         aside_m = ASIDE_M[np.maximum(least_m, ground.highest_m.max()) <= own_m]
         clear_m = clear_m if clear_m <= ceiling_m else np.nan
-        remedies.append([clear_m, *aside_m[:1], np.nan][:2])
+        aside = [*aside_m[:1], np.nan][0]
+        remedies.append([clear_m, aside, flight.mission.legs[part.leg[-1]].item])
     return findings.assign(**pd.DataFrame(remedies, findings.index, REMEDY))
 
 
@@ -260,8 +267,10 @@ def _at_corners(flight: Flight, buildings: Prisms, limits: Constraints) -> Itera
     ground = flight.ground
     near = contacts(corners, buildings, ground, limits.horizontal_m)
     is_close = (near["gap_m"] < limits.vertical_m - FILE_MARGIN_M) | (near["spare_m"] <= 0)
-    for rows in (near[is_close], _in_zones(corners, ground, limits.zones)):
-        yield rows[SPAN].assign(kind="corner", reason=CUT)
+    rows = pd.concat([near[is_close], _in_zones(corners, ground, limits.zones)])
+    legs = [flight.mission.legs[leg] for leg in np.unique(corners.leg[rows["step"].to_numpy(int)])]
+    reason = CUT.format(listed([str(leg.item) for leg in legs]))
+    yield rows[SPAN].assign(kind="corner", reason=reason)
 
 
 def _beyond(
@@ -448,9 +457,11 @@ def _zones_of(ground: Elevation, zones: Sequence[Zone]) -> Prisms:
     )
 
 
-def _zones(steps: Steps, ground: Elevation, zones: Sequence[Zone]) -> pd.DataFrame:
-    """Return a row for each stretch of a mission in a no-fly zone."""
+def _zones(steps: Steps, ground: Elevation, zones: Sequence[Zone], ceiling_m: int) -> pd.DataFrame:
+    """Return a row for each stretch of a mission in a no-fly zone, which says how it is passed up to a ceiling."""
     rows = merged(_in_zones(steps, ground, zones), "prism")
     entered = [zones[number] for number in rows["prism"]]
-    what = [f"enters the no-fly zone {zone.label}, {zone.heights}" for zone in entered]
+    what = [
+        f"enters the no-fly zone {zone.label}, {zone.heights_past(ceiling_m)}" for zone in entered
+    ]
     return rows.assign(kind="zone", what=what)

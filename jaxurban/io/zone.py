@@ -95,6 +95,17 @@ class Zone:
         low = "the ground" if np.isinf(self.floor_m) else f"{self.floor_m:g} m"
         return f"from {low} " + ("up" if np.isinf(self.ceiling_m) else f"to {self.ceiling_m:g} m")
 
+    def heights_past(self, most_m: float) -> str:
+        """Floor and ceiling, and at which heights above the ground it is open, up to ``most_m`` (0: without that)."""
+        ways = {
+            f"below {self.floor_m:g} m": self.floor_m > 0,
+            f"above {self.ceiling_m:g} m": self.ceiling_m < most_m,
+        }
+        past = " or ".join(way for way, is_open in ways.items() if is_open)
+        if past:
+            return f"{self.heights}, open {past}"
+        return self.heights + f", closed at all heights up to {most_m:g} m" * (most_m > 0)
+
     @property
     def place(self) -> list[float]:
         """Longitude and latitude in degrees of its first corner, or point; empty where its shape has none."""

@@ -568,13 +568,17 @@ class Grid(Hints):
         """Return whether points (WGS 84, degrees) all lie on the grid once longitude and latitude change places.
 
         Returns:
-          True where they look swapped.
+          True where they look swapped, and do not all lie on the grid as they are.
 
         Examples:
           >>> maps.grid.is_swapped(40.78, -73.97)
           True
         """
-        return bool(np.all(self.contains_xy(*self.xy_of_lonlat(lat_deg, lon_deg))))
+        is_on = [
+            bool(np.all(self.contains_xy(*self.xy_of_lonlat(*degrees))))
+            for degrees in ((lat_deg, lon_deg), (lon_deg, lat_deg))
+        ]
+        return is_on == [True, False]
 
     def outside_said(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> str:
         """Return in words that points (WGS 84, degrees) lie outside the grid, and how if they look swapped.

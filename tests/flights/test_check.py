@@ -393,6 +393,27 @@ def test_a_mission_that_lies_elsewhere_says_where_it_and_the_maps_lie_and_what_l
         )
 
 
+def test_an_item_with_swapped_coordinates_is_said_where_the_take_off_is_judged(open_scene):
+    lon, lat = open_scene.maps.grid.lonlat_of_cell(4, 4)
+    ends = [Place(lon, lat, 60.0, "ground"), Place(lat, lon, 60.0, "ground")]
+    away = ends[1]._replace(lon=8.54, lat=47.39)
+    for end, num_said in ((ends[1], 1), (away, 0)):
+        result = checked(open_scene, mission_of(ends[0], end, home=ends[0]))
+        said = [text for text in result.not_judged if "look swapped" in text]
+        assert (result.state != "clean", len(said)) == (True, num_said)
+        assert said == [] or said[0].startswith(f"Item 2 lies elsewhere: the point {lat}, {lon} ")
+
+
+def test_the_return_is_said_after_all_of_the_mission(open_scene, tmp_path):
+    ends = [open_scene.place(20.0, y_m, 150.0) for y_m in (20.0, 500.0)]
+    result = checked(open_scene, mission_of(*ends, home=ends[0]))
+    names = [line.strip().partition(":")[0] for line in result.lines]
+    assert names[-len(result.return_lines) :] == ["return"] * len(result.return_lines)
+    result.save(tmp_path / "checked")
+    page = (tmp_path / "checked/report.md").read_text()
+    assert page.index("## Findings") < page.index("## The mission") < page.index("## Return")
+
+
 def test_where_the_source_of_buildings_ends_nothing_is_clean(open_scene):
     west, south, east, north = open_scene.city.extent_m
     half = replace(open_scene.city, extent_m=(west, south, east, north - 300))

@@ -283,7 +283,7 @@ def test_a_plan_is_told_what_to_type_by_its_firmware(tmp_path, firmware, names):
     assert len(typed) == len(names)
     for line, name in zip(typed, names, strict=True):
         assert f" {name}" in line
-    assert all(f"  return: {line}" in result.lines for line in result.return_lines)
+    assert all(f"return: {line}" in result.lines for line in result.return_lines)
     assert result.to_dict()["return_lines"] == result.return_lines
     json.dumps(result.to_dict(), allow_nan=False)
 

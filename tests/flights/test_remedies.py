@@ -125,6 +125,57 @@ def test_a_zone_is_cleared_over_its_ceiling_up_to_that_of_the_flight(top_m, clea
         assert flown(maps, city, *over, constraints=limits).findings.empty
 
 
+def test_past_a_corner_the_corner_moves_with_both_legs():
+    maps, city = tower()
+    bend = place(maps, 300, 300, 60)
+    ends = place(maps, 300, 200, 60), bend, place(maps, 400, 300, 60)
+    result = flown(maps, city, *ends)
+    (row,) = result.findings.to_dict("records")
+    assert (row["item"], row["to_item"], row["aside_m"]) == (1, 2, -25.0)
+    words = "25 m to the left, with each corner from item 1 to before item 2 moved so that its legs stay parallel."
+    assert result.sentences[0].endswith(words)
+
+    # Legs that are moved so to the left cross at a new corner, and nothing is there.
+    moved = [(275, 200), (275, 325), (400, 325)]
+    assert flown(maps, city, *(place(maps, *each, 60) for each in moved)).findings.empty
+    near = [(277, 200), (277, 323), (400, 323)]
+    assert len(flown(maps, city, *(place(maps, *each, 60) for each in near)).findings)
+
+
+def test_a_cut_corner_is_named_with_its_item():
+    maps, city = tower()
+    around = [(279.5, 200), (279.5, 320.5), (330, 320.5), (450, 320.5)]
+    places = [place(maps, *each, 60) for each in around]
+    result = flown(maps, city, *places, constraints=ju.Constraints())
+    (said,) = [text for text in result.not_judged if "corners" in text]
+    assert "(at item 1)" in said
+    assert "move these corners away" in said
+
+
+@pytest.mark.parametrize(
+    ("floor_m", "top_m", "words"),
+    [
+        (-math.inf, math.inf, "from the ground up, closed at all heights up to 120 m"),
+        (-math.inf, 150.0, "from the ground to 150 m, closed at all heights up to 120 m"),
+        (-math.inf, 75.0, "from the ground to 75 m, open above 75 m"),
+        (50.0, math.inf, "from 50 m up, open below 50 m"),
+        (50.0, 75.0, "from 50 m to 75 m, open below 50 m or above 75 m"),
+    ],
+)
+def test_a_zone_says_at_which_heights_it_is_passed(floor_m, top_m, words):
+    maps, city = tower()
+    west_m, south_m = maps.grid.bounds_m[:2]
+    shape = shapely.box(west_m + 90, south_m + 290, west_m + 110, south_m + 310)
+    zone = Zone("mast", shape, maps.grid.crs, floor_m=floor_m, ceiling_m=top_m)
+    limits = ju.Constraints(zones=(zone,), clearance_m=4.0)
+    ends = place(maps, 100, 200, 60), place(maps, 100, 400, 60)
+    result = flown(maps, city, *ends, constraints=limits)
+    assert result.findings["what"].tolist() == [f"enters the no-fly zone 'mast', {words}"]
+    for height_m, is_open in ((49.0, "below" in words), (76.0, "above" in words)):
+        other = [each._replace(height_m=height_m) for each in ends]
+        assert flown(maps, city, *other, constraints=limits).findings.empty == is_open
+
+
 def test_limits_and_closed_cells_have_no_way_out():
     maps, city = tower()
     ends = place(maps, 100, 200, 60), place(maps, 100, 400, 60)
