@@ -36,6 +36,8 @@ MOST_SHOWN = 4  # values of a list
 MOST_ALIKE = 0.9  # of an argument of something else: it must hardly differ
 MOST = 2**63 - 1  # of a number: NumPy holds it, and its square is no overflow in float32
 MOST_OF = {"_m": 1e8, "_deg": 1e3}  # the whole way round the Earth is 4e7 m
+LENGTH = re.compile(r"(\d+(?:\.\d+)?) ?(ft|feet|foot|km|m|met(?:re|er)s?)", re.IGNORECASE)
+METRES = {"f": 0.3048, "k": 1000.0, "m": 1.0}  # of a unit of length, by its first letter
 UNITS = {  # of arguments, by the end of their names
     "_m_s": "metres per second",
     "_xy_m": "easting, northing in metres",
@@ -119,6 +121,7 @@ def finite(
     Raises:
       InputError: the value is not such a number.
     """
+    check_metres(name, value, unit)
     number = math.nan  # which is in no range
     if not isinstance(value, bool):
         with suppress(TypeError, ValueError, OverflowError):
@@ -128,6 +131,22 @@ def finite(
         of_unit = f" of {unit}" if unit else ""
         raise InputError(f"{name} must be a {called} number{of_unit}, got {value!r}")
     return number
+
+
+def check_metres(name: str, value: Any, unit: str | None = None) -> None:
+    """Raise InputError, which says the metres, for a text such as ``"200 ft"`` in place of a number of metres.
+
+    Args:
+      name: of the argument.
+      value: of any kind; of a list each value is looked at.
+      unit: of the argument; left out, that of the name (`UNITS`).
+    """
+    unit = unit_of_argument(name) if unit is None else unit
+    for text in value if isinstance(value, list | tuple) else (value,):
+        length = LENGTH.fullmatch(text.strip()) if isinstance(text, str) else None
+        if length and unit == "metres":
+            length_m = float(length[1]) * METRES[length[2][0].lower()]
+            raise InputError(f"{name} is a number of metres, got {text!r}: write {length_m:g}")
 
 
 def values_given(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -261,6 +280,7 @@ def typed(public: Public) -> Public:
         # Each value against the kinds of its argument; a keyword that ``**further`` takes has the kinds of that.
         for name, value in (values.pop(further, {}) | values).items():
             allowed = kinds().get(name if name in parameters else further, [])
+            check_metres(name, value)
             _check_kind(name, value, allowed, call)
             check_size(name, value)
 

@@ -557,6 +557,16 @@ def test_a_missing_attribute_of_a_result_names_the_one_that_is_meant():
     assert copy.deepcopy(path).length_m == path.length_m
 
 
+def test_a_length_with_its_unit_is_answered_with_its_metres():
+    for text, metres in (("200 ft", "60.96"), ("60m", "60")):
+        with pytest.raises(
+            ju.InputError, match=rf"^altitude_m is a number of metres, .* {metres}$"
+        ):
+            ju.plan(MAPS, START, GOAL, altitude_m=text)
+    with pytest.raises(ju.InputError, match="altitudes_m is a number of metres, got '200ft'"):
+        ju.build_maps(ju.demo_city(), altitudes_m=["200ft"])
+
+
 def test_help_lists_the_sections_that_maps_are_made_with():
     parameters = inspect.signature(ju.build_maps).parameters
     assert {name: parameters[name].annotation for name in known_metrics()} == {

@@ -3,7 +3,7 @@
 import json
 import warnings
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,8 @@ from jaxurban.errors import InputError
 from jaxurban.io.samples import located
 from jaxurban.io.sniff import LIDAR, sniff
 from jaxurban.io.stored import (
+    GEOTIFF_FOLDER,
+    OF_ZARR,
     RUN_FILE,
     ZARR_FOLDER,
     short_number,
@@ -22,14 +24,17 @@ from jaxurban.io.stored import (
     unfinished_said,
 )
 from jaxurban.knowledge import names_of, shown_rule
+from jaxurban.public import listed
 from jaxurban.terminal.common import GIVEN, JSON_FLAG, LONLAT, Point, Settings, print_json
 from jaxurban.terminal.options import command
 
 if TYPE_CHECKING:
     from jaxurban.io.city import City
+    from jaxurban.io.zone import Zone
     from jaxurban.maps.metric_maps import MetricMaps
 
 MOST_BYTES = 2**30  # of any other file than of buildings or a raster: most are read whole
+DRAWN = (".geojson", ".geojsonl", ".kml")  # of outlines that may be zones
 REPORT = "report.md"  # of a study or a check
 MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # and nothing else
 
@@ -42,10 +47,12 @@ def info_command(path: Path, place: Point | None, as_json: bool) -> None:
     """Say what a file or a folder of maps holds.
 
     Of a folder of several folders of maps it says how far each is. FILE is of buildings, or a raster: printed are
-    extent, CRS, counts and guessed heights. Of a mission, a receiver's log, a track, orbits or a scenario it says in a
-    line what it holds, and what reads it; of the folder of a report it says the title. With --at, longitude,latitude in
-    degrees, it says what stands there by a file of buildings, or by the files of maps: kind, rule, height and bound.
+    extent, CRS, counts and guessed heights. Of a mission, a receiver's log, a track, orbits, zones, a scenario, or what
+    another command wrote, it says in a line what it holds, and what reads it; of the folder of a report it says the
+    title. With --at, longitude,latitude in degrees, it says what stands there by a file of buildings, or by the files
+    of maps: kind, rule, height and bound.
     """
+    path = _folder_of(path)
     has_maps = any((path / name).exists() for name in (ZARR_FOLDER, RUN_FILE))
     if place is not None:
         things = _city_of(path, has_maps).why(*place)
@@ -70,8 +77,9 @@ def info_command(path: Path, place: Point | None, as_json: bool) -> None:
         numbers = []
     else:
         file = located(path)
+        written = _line_of_written(file)
         try:
-            facts, file_numbers = _facts_of_file(file)
+            facts, file_numbers = ({"holds": written}, {}) if written else _facts_of_file(file)
         except InputError as error:
             facts, file_numbers = {"holds": _line_of_other(file, error)}, {}
         numbers = [file_numbers]
@@ -100,6 +108,51 @@ def _city_of(path: Path, has_maps: bool = False) -> "City":
         if has_maps:
             return load_city(scenario_of(path))
         return City.from_files(Buildings(path, allow=("none",)))
+
+
+def _folder_of(path: Path) -> Path:
+    """Return the folder of maps that a folder within it belongs to; any other path as it is."""
+    for folder in (path, path.parent):
+        if folder.name in (ZARR_FOLDER, GEOTIFF_FOLDER) and (folder.parent / ZARR_FOLDER).is_dir():
+            return folder.parent if path.is_dir() else path
+    return path
+
+
+def _line_of_written(path: Path) -> str:
+    """Return what a report, a Zarr, a layer of maps or a file of zones holds, and what reads it; else ``""``."""
+    if path.is_dir():
+        is_zarr = any((path / name).is_file() for name in OF_ZARR)
+        return f"a Zarr: xarray.open_zarr({str(path)!r}) reads it" if is_zarr else ""
+    if path.suffix.lower() == ".tif":
+        return _line_of_layer(path)
+    return _line_of_zones(path) if path.is_file() else ""
+
+
+def _line_of_layer(file: Path) -> str:
+    """Return what a GeoTIFF holds that maps were written to, by its tags; ``""`` of any other raster."""
+    import rasterio
+
+    with suppress(rasterio.errors.RasterioIOError), rasterio.open(file) as layer:
+        if "metric" in layer.tags():
+            cells = f"{layer.height:,} x {layer.width:,} cells in {layer.crs}"
+            return f"a map of {layer.descriptions[0]} ({cells}): QGIS and rasterio read it"
+    return ""
+
+
+def _line_of_zones(file: Path) -> str:
+    """Return which zones a file holds that names their limits, and what reads it; ``""`` of any other file."""
+    from jaxurban.flights.airspace import is_of_zones, read_zones
+
+    zones: Sequence[Zone] = ()
+    if is_of_zones(file):
+        with warnings.catch_warnings(action="ignore", category=UserWarning), suppress(InputError):
+            zones = read_zones(file)
+    if not zones:
+        return ""
+    counts = Counter(zone.state for zone in zones)
+    states = ", ".join(f"{num} {state}" for state, num in counts.items())
+    names = listed([f"{zone.name!r} {zone.heights}" for zone in zones])
+    return f"no-fly zones ({states}: {names}): jaxurban plan DIR --no-fly {str(file)!r}"
 
 
 def _folders_of_maps(path: Path) -> list[Path]:
@@ -218,6 +271,8 @@ def _facts_of_file(file: Path) -> tuple[Settings, Settings]:
     num_by_origin = city.buildings.origin_counts()
     for name, num in num_by_origin.items():
         facts[f"heights by {name}"] = f"{num:,} ({num / len(city.buildings):.1%})"
+    if num_by_origin.get("default") == len(city.buildings) and sniff(file) in DRAWN:
+        facts["if these are zones"] = f"jaxurban plan DIR --no-fly {str(file)!r}"
     facts["unknown heights"] = "; ".join(f"{name} {each}" for name, each in city.learned.items())
     num_by_name = Counter(() if city.structures is None else city.structures.named.tolist())
     return facts, {

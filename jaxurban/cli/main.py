@@ -4,7 +4,6 @@ import atexit
 import gc
 import logging
 import os
-import re
 import signal
 import sys
 import warnings
@@ -124,8 +123,9 @@ def _run(arguments: Sequence[str]) -> int:
         print(help_text.format_message())
         code = 0
     except click.UsageError as error:
-        said = f"{error.format_message().rstrip('.')}{_in_metres(error)} (see jaxurban --help)"
-        code = fail(said, _option_of(error))
+        code = fail(
+            f"{error.format_message().rstrip('.')} (see jaxurban --help)", _option_of(error)
+        )
     except click.ClickException as error:
         code = fail(error.format_message())
 
@@ -229,18 +229,6 @@ def _fail(arguments: Sequence[str], sentence: str, option: str = "") -> ExitCode
         except (OSError, ValueError):  # stdout may be what failed
             _drop_stdout()
     return ExitCode.BAD_INPUT
-
-
-def _in_metres(error: click.UsageError) -> str:
-    """Return the remedy where metres were typed with a unit, such as 200ft; empty where they were not."""
-    param = getattr(error, "param", None)
-    typed = re.search("'([^']+)' is not a valid float", error.format_message())
-    if typed is None or param is None or not str(param.name).endswith("_m"):
-        return ""
-    from jaxurban.cities.heights import parse_length_m
-
-    length_m = parse_length_m(typed[1])
-    return f": write {length_m:g}, in metres" if length_m > 0 else ""
 
 
 def _option_of(error: click.UsageError) -> str:

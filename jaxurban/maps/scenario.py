@@ -27,6 +27,7 @@ from pydantic import (
 from jaxurban import wings
 from jaxurban.checks import (
     at_least,
+    check_metres,
     check_size,
     different_lengths,
     nearest_name,
@@ -540,12 +541,18 @@ def _sentence_of(error: ValidationError, settings: Any, model: type) -> str:
 
 
 def _check_sizes(settings: Mapping[str, Any], where: str) -> None:
-    """Raise InputError where a number in nested settings is out of range; ``where`` stands before its name."""
+    """Raise InputError where a number in nested settings is out of range, or a length is a text with its unit.
+
+    Args:
+      settings: the settings.
+      where: stands before a name.
+    """
     for name, value in settings.items():
         if isinstance(value, Mapping):
             _check_sizes(value, f"{where}{name}: ")
         else:
             check_size(f"{where}{name}", value)
+            check_metres(f"{where}{name}", value)
 
 
 def _plain(value: Any) -> str:

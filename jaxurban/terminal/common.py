@@ -26,6 +26,7 @@ from jaxurban.settings import CLEARANCES, Planning, Preset
 from jaxurban.terminal.options import (
     TYPED,
     Names,
+    Number,
     Numbers,
     Values,
     grouped_options,
@@ -243,7 +244,7 @@ def workers_of(workers: int | None, cluster: str | None) -> int | str | None:
 LONLAT = Numbers("LON,LAT", "longitude,latitude in degrees, as in -74.0,40.7", 2)
 COUNT, POSITIVE_COUNT = click.IntRange(min=0), click.IntRange(min=1)
 SHOWN = partial(click.option, show_default=True)  # its default, in the help
-NUMBER = partial(click.option, type=float)
+NUMBER = partial(click.option, type=Number())
 METRES = partial(NUMBER, metavar="METRES")
 FLAG = partial(click.option, is_flag=True)
 FOLDER = click.argument("folder", metavar="DIR", type=MAPS_PATH, is_eager=True)

@@ -11,10 +11,30 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import click
 
-from jaxurban.checks import finite, one_of, unit_of_argument
+from jaxurban.checks import check_metres, finite, one_of, unit_of_argument
 
 Decorator = Callable[[Callable], Callable]
-ONE = {float: click.FLOAT, int: click.INT, bool: click.BOOL, str: click.STRING}
+
+
+class Number(click.types.FloatParamType):
+    """A number; a length in another unit than metres is answered with its metres."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the number in a text.
+
+        Raises:
+          BadParameter: a text that is no number.
+          InputError: a length with its unit, where metres are meant.
+        """
+        if param is not None:
+            is_length = "METRES" in (param.metavar or "") or str(param.name).endswith("_m")
+            check_metres(param.opts[0], value, "metres" * is_length)
+        return super().convert(value, param, ctx)
+
+
+ONE = {float: Number(), int: click.INT, bool: click.BOOL, str: click.STRING}
 
 TYPED = "words"  # of a click context: those of the command
 # Sections of the help for options that several commands have; the others stand before them.
@@ -160,6 +180,7 @@ class Values(click.ParamType):
             name = one_of(said, given.strip() or self.names[0], self.names)
             if name in values:
                 self.fail(f"{name} stands twice: give it one value", param, ctx)
+            check_metres(name, text.strip())
             number = type_of(self.hints[name]).convert(text.strip(), param, ctx)
             values[name] = finite(name, number) if isinstance(number, float) else number
         return values

@@ -106,6 +106,79 @@ def test_info_says_the_title_of_the_report_in_a_folder(capsys, tmp_path):
     assert out == f"holds  a report, 'What differs': read '{tmp_path / 'report.md'}'\n"
 
 
+HOUSE = shapely.box(-73.998, 40.757, -73.997, 40.758)
+ZONE = {
+    "type": "Feature",
+    "properties": {"name": "park", "ceiling_m": 120},
+    "geometry": shapely.geometry.mapping(HOUSE),
+}
+GEOZONE = {
+    "features": [
+        {
+            "identifier": "A1",
+            "restriction": "PROHIBITED",
+            "geometry": [
+                {
+                    "uomDimensions": "M",
+                    "lowerLimit": 0,
+                    "lowerVerticalReference": "AGL",
+                    "upperLimit": 60,
+                    "upperVerticalReference": "AGL",
+                    "horizontalProjection": shapely.geometry.mapping(HOUSE),
+                }
+            ],
+        }
+    ]
+}
+
+
+@pytest.mark.parametrize(
+    ("zone", "said"),
+    [
+        (ZONE, "(1 closed: 'park' from the ground to 120 m)"),
+        (GEOZONE, "(1 closed: 'A1' from 0 m to 60 m)"),
+    ],
+)
+def test_info_of_a_file_of_zones_names_them_and_the_option_that_takes_them(
+    capsys, tmp_path, zone, said
+):
+    path = tmp_path / "zones.geojson"
+    path.write_text(json.dumps(zone))
+    code, out, err = run(capsys, "info", path)
+    assert (code, err) == (0, "")
+    assert out == f"holds  no-fly zones {said}: jaxurban plan DIR --no-fly {str(path)!r}\n"
+    path.write_text(json.dumps(ZONE | {"properties": {}}))  # an outline, of whatever
+    _, out, _ = run(capsys, "info", path)
+    assert "buildings" in out
+    assert f"jaxurban plan DIR --no-fly {str(path)!r}" in out
+
+
+@pytest.mark.filterwarnings("ignore::zarr.errors.ZarrUserWarning")
+def test_info_of_what_was_written_says_what_it_is(capsys, made, tmp_path):
+    _, whole, _ = run(capsys, "info", made)
+    for inner in ("maps.zarr", "geotiff"):
+        assert run(capsys, "info", made / inner) == (0, whole, "")
+    layer = min((made / "geotiff").glob("gps_20m*.tif"))
+    code, out, err = run(capsys, "info", layer)
+    assert (code, err) == (0, "")
+    assert out.startswith("holds  a map of GPS quality, 20 m above ground, 2020-")
+    ju.open_maps(made).ds.to_zarr(tmp_path / "own.zarr")
+    code, out, _ = run(capsys, "info", tmp_path / "own.zarr")
+    assert (code, out) == (
+        0,
+        f"holds  a Zarr: xarray.open_zarr({str(tmp_path / 'own.zarr')!r}) reads it\n",
+    )
+
+    study = tmp_path / "checked"
+    (tmp_path / "a.plan").write_text(json.dumps(PLAN))
+    run(capsys, "check", made, tmp_path / "a.plan", "-o", study)
+    title = (study / "report.md").read_text().splitlines()[0].removeprefix("# ")
+    assert run(capsys, "info", study)[:2] == (
+        0,
+        f"holds  a report, {title!r}: read {str(study / 'report.md')!r}\n",
+    )
+
+
 def test_info_knows_element_sets_by_their_satellites_and_dates(capsys, tmp_path):
     path = tmp_path / "gps.txt"
     shutil.copy(located("sample:shinjuku/gps.tle"), path)
@@ -143,7 +216,6 @@ def test_what_cannot_be_read_is_named_as_what_it_is(capsys, tmp_path, name, cont
     assert_one_sentence(err, *words)
 
 
-HOUSE = shapely.box(-73.998, 40.757, -73.997, 40.758)
 IN_HOUSE = ("--at", "-73.9975,40.7575")
 
 
