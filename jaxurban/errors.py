@@ -9,12 +9,14 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from itertools import takewhile
 from pathlib import Path
 from typing import Literal
 
 from jaxurban.spelling import near
 
 PACKAGE = str(Path(__file__).parent)
+STANDARD_LIBRARY = str(Path(os.__file__).parent)
 MOST_SAID = 300  # characters of what a library says that a message passes on
 MOST_OF_END = 1000  # characters of a message at its begin and at its end: a file may hold a text of any length
 # What Python itself says of files that are not as they should be, by a part of it, and what messages say instead.
@@ -113,8 +115,9 @@ class InputError(JaxurbanError, ValueError):
         Source: `InteractiveShell.showtraceback` of IPython, which asks an exception for it.
         """
         frames = traceback.extract_tb(self.__traceback__)
-        of_others = (PACKAGE, "IPython", "<string>")  # the last is that of made methods
-        own = [each for each in frames if not any(part in each.filename for part in of_others)]
+        of_others = ("IPython", STANDARD_LIBRARY, "<string>")  # the last is that of made methods
+        outside = takewhile(lambda each: PACKAGE not in each.filename, frames)
+        own = [each for each in outside if not any(part in each.filename for part in of_others)]
         lines = [f"line {each.lineno}: {each.line}" for each in own]
         return [*lines, f"{type(self).__name__}: {self}"]
 

@@ -56,7 +56,7 @@ MAX_HEIGHT_IN, MIN_HEIGHT_IN = 6.5, 0.8  # of all panels and what is below them;
 FIRST_IN, BAR_IN = 6.0, 0.6  # height of a row before the layout settles; of a bar below a panel
 BAR_AT_IN, THICK_IN = 0.15, 0.07  # of a bar below its panel
 NORTHING_IN, SIDE_IN = 0.55, 1.9  # left of all panels, right of them where a legend fits there
-MIN_WIDTH_IN = 1.45  # of a column of panels
+MIN_WIDTH_IN, SMALL_PANEL_IN = 1.45, 0.7  # of a column of panels; in small axes
 LEAST_BAR_IN = 0.9  # of a bar that holds its numbers
 FILLED = 0.6  # share of a bar below a panel that its numbers fill at most
 TICK_IN, MAX_TICKS = 0.75, 3  # width of an easting; most of them below a panel
@@ -181,7 +181,7 @@ def draw_maps(
     """Return a figure of maps and the axes of its panels, in reading order.
 
     The legend stands where a panel is missing to a full row, beside the panels where these are narrow, else below. In a
-    cell of a figure that is small (`is_small`) there is the map alone, with its bar and the first words of what it is.
+    cell of a figure that is small (`is_small`) there are the maps alone, with a bar and the first words of what it is.
 
     Args:
       grid: of all panels without their own; all keep its proportions.
@@ -209,28 +209,30 @@ def draw_maps(
             raise InputError("cmap: this map has classes, each of its own colour: leave cmap out")
 
     width_in = width_in_of(form)
-    if is_small(form):
+    least_in = MIN_WIDTH_IN
+    fits = not is_small(form)
+    if not fits:
         note, legend, has_ticks = "", (), False
         heading = heading.partition(",")[0]
         panels = [panel._replace(foot="") for panel in panels]
-        if colours is not None:
-            colours = _short(colours)
+        least_in = SMALL_PANEL_IN
 
     # How large the panels are, and how much room ticks, feet and colour bars leave them.
     bars = [_own_bar(panel) for panel in panels]
-    if is_small(form):
-        bars = [bar and _short(bar) for bar in bars]
     if len(panels) == 1:
         colours = colours or bars[0]
     if colours is not None:
         bars = [None] * len(panels)
+    if not fits:
+        colours = colours and replace(colours, label=colours.label.partition("\n")[0])
+        bars = [bar and replace(bar, label="") for bar in bars]
     foot_in = LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
     if any(bars):
         has_ticks = False
         foot_in += BAR_IN
     if has_ticks:
         width_in -= NORTHING_IN
-    size = _size(grid, len(panels), width_in, foot_in)
+    size = _size(grid, len(panels), width_in, foot_in, least_in)
 
     # The cells of the panels, in rows. Where no cell is left for the legend, a low row is added below them.
     figure = chart(FIRST_IN * size.num_rows, heading, note, **form)
@@ -250,6 +252,9 @@ def draw_maps(
     for number, (spot, panel, bar) in enumerate(zip(axes, panels, bars, strict=True)):
         title = letter(number, len(panels)) + panel.title
         _draw_panel(spot, panel._replace(title=title), panel.grid or grid, size)
+        spot.title.set_size(TEXT_PT if fits else SMALL_PT)
+        if fits:
+            _orient(spot)
         if has_ticks:
             is_left = number % size.num_cols == 0
             is_bottom = number + size.num_cols >= len(panels)
@@ -268,18 +273,13 @@ def draw_maps(
     return figure, axes
 
 
-def _short(bar: Colours) -> Colours:
-    """Return colours whose label is its first line."""
-    return replace(bar, label=bar.label.partition("\n")[0])
-
-
 def _recoloured_panel(panel: MapPanel, cmap: Any) -> MapPanel:
     """Return a panel whose maps with a scale have another colour map."""
     layers = [DrawnMap(values, recoloured(colours, cmap)) for values, colours in panel.layers]
     return panel._replace(layers=layers)
 
 
-def _size(grid: Grid, num: int, width_in: float, foot_in: float) -> Size:
+def _size(grid: Grid, num: int, width_in: float, foot_in: float, least_in: float) -> Size:
     """Return how the panels of a figure stand, and how large they are.
 
     Panels are as wide as their columns unless they would then be too high together.
@@ -289,20 +289,21 @@ def _size(grid: Grid, num: int, width_in: float, foot_in: float) -> Size:
       num: number of panels.
       width_in: of all columns together, inches.
       foot_in: height of what stands below each panel, inches.
+      least_in: width of a column, inches.
     """
-    num_cols = min(panel_columns(num), int(width_in / MIN_WIDTH_IN))
+    num_cols = min(panel_columns(num), max(1, int(width_in / least_in)))
     num_rows = math.ceil(num / num_cols)
     tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
     height_in = max(MIN_HEIGHT_IN, MAX_HEIGHT_IN / num_rows - foot_in)
     panel_in = min(width_in / num_cols, height_in / tall)
-    is_beside = width_in - num_cols * panel_in > SIDE_IN
+    is_beside = least_in == MIN_WIDTH_IN and width_in - num_cols * panel_in > SIDE_IN
     if is_beside:
         width_in -= SIDE_IN
     return Size(num_rows, num_cols, width_in / num_cols, panel_in, tall, is_beside)
 
 
 def _draw_panel(spot: Axes, panel: MapPanel, grid: Grid, size: Size) -> None:
-    """Draw a map into its axes: title, foot, layers, scale bar and north, without ticks.
+    """Draw a map into its axes: title, foot and layers, without ticks.
 
     Args:
       spot: the axes.
@@ -317,7 +318,6 @@ def _draw_panel(spot: Axes, panel: MapPanel, grid: Grid, size: Size) -> None:
     if panel.layers:
         draw_layers(spot, grid, panel.layers, panel.is_closed)
     spot.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m))
-    _orient(spot)
 
 
 def _add_ticks(spot: Axes, size: Size, is_left: bool, is_bottom: bool) -> None:

@@ -45,6 +45,7 @@ from jaxurban.metrics.variables import (
 from jaxurban.paths.closed import obstacles_at
 from jaxurban.pictures import MapForm
 
+NO_FREE_CELL = "no free cell"
 AVAILABILITY, RATED = "gps_availability", "gdop"
 DISTANCE_COLOUR = "#555555"
 # Behind what a colour bar names; others as they are.
@@ -252,7 +253,8 @@ def plot_metric(
       A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
-      InputError: a name, altitude, time or time of day that these maps do not hold, or a width that is none.
+      InputError: a name, altitude, time or time of day that these maps do not hold, a map without a value in any free
+        cell, or a width that is none.
 
     Examples:
       >>> figure = ju.plot.plot_metric(maps, "gps", altitude_m=[20.0, 60.0], cmap="cividis")
@@ -300,6 +302,8 @@ def plot_metric(
             heading += f": {maps.ds[name].attrs['long_name']}"
         note = frame_note(maps, time, has_sky=has_sky, of=name)
         patches = patches[1:]  # all but obstacles
+
+    _check_has_values(name, panels)
 
     # The legend of classes, whose second one means a value of one, or a colour bar.
     numbers = maps.m(name) if len(variable.classes) > 2 else np.empty(0)
@@ -369,13 +373,16 @@ def _panel(
 
 
 def _middle_of(values: np.ndarray, variable: Variable) -> str:
-    """Return the mean of a map's values over its free cells as a text, with its unit.
+    """Return the mean of a map's values over its free cells that have one as a text, with its unit.
 
     Of two classes it is the share of the second one; of counts, and of values that may be infinite, the median.
     """
     unit = "" if variable.unit == "1" else f" {variable.unit}"
     if values.size == 0:
-        return "no free cell"
+        return NO_FREE_CELL
+    values = values[~np.isnan(values)]
+    if values.size == 0:
+        return "no value"
     if variable.classes:
         return f"{precise_percent(values.mean(dtype=np.float64))} {variable.classes[1][0]}"
     if np.issubdtype(variable.dtype, np.integer) or not variable.is_averaged:
@@ -385,6 +392,16 @@ def _middle_of(values: np.ndarray, variable: Variable) -> str:
         return f"median {median:.3g}{unit}"
     num_decimals = 0 if unit else 2
     return f"mean {values.mean(dtype=np.float64):.{num_decimals}f}{unit}"
+
+
+def _check_has_values(name: str, panels: Sequence[MapPanel]) -> None:
+    """Raise InputError where a map would be drawn without a value in any cell."""
+    drawn = [panel.layers[0].values for panel in panels if NO_FREE_CELL not in panel.title]
+    if drawn and all(np.isnan(values).all() for values in drawn):
+        raise InputError(
+            f"{name} has no value in any free cell of these maps, so its picture would be empty: check its source, "
+            "or name another altitude_m, time or time_of_day"
+        )
 
 
 def _enough_of(values_m: np.ndarray, altitudes_m: Sequence[float]) -> str:

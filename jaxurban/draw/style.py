@@ -210,7 +210,7 @@ def width_in_of(form: Form) -> float:
 def _in_place_of(ax: Axes) -> Any:
     """Return a part of a figure, in place of a cell of it; the figure places its parts by a layout from now on."""
     whole: Any = ax.get_figure(root=True)
-    if whole.get_layout_engine() is None:
+    if not isinstance(whole.get_layout_engine(), ConstrainedLayoutEngine):
         whole.set_layout_engine("constrained")
     cell: Any = ax.get_subplotspec()
     part = ax.figure.add_subfigure(cell)

@@ -3,22 +3,28 @@
 import math
 from typing import Unpack
 
+import pandas as pd
 from matplotlib.figure import Figure
 
 from jaxurban.draw.frame import frame_note, joined
 from jaxurban.draw.style import (
+    INK,
+    POINTS,
     SERIES_COLOURS,
     chart,
     drawing,
     dress,
     legend_above,
     letter,
+    name_rows,
 )
 from jaxurban.maps.metric_maps import MapsLike, as_maps
 from jaxurban.paths.when import Departures
 from jaxurban.pictures import Form
+from jaxurban.settings import time_said
 
 MOST_TICKS, HEIGHT_IN = 8, 3.0
+BAR_IN, BAR_COLOUR = 0.35, "#9ecae1"  # of times of day: height, and a colour that ink is read on
 MARK_PT = 4.0  # of a hollow mark, over others
 FACTS = "best", "worst", "times without a path"  # of the departures, in the note
 WIDTHS_PT = 6.0, 2.5, *(1.2,) * 5  # of the lines, whose marks are as much wider
@@ -32,7 +38,8 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
     """Return the cost above the best time and the length without a fix by time, a line for each time of day.
 
     At hollow marks a route differs from the best time's. A line has a gap where a route has no path. With one time
-    alone, times of day are along the axis instead. Where no fix is known to be lost, that panel is left out.
+    alone there are bars of the cost and of the length without a fix, one for each time of day. Where no fix is known to
+    be lost, that panel is left out.
 
     Args:
       departures: from `jaxurban.when`.
@@ -47,16 +54,6 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
       >>> ju.plot.plot_when(departures, maps).savefig("when.png")
     """
     table = departures.table.fillna({"time": "", "time_of_day": ""})
-    # Columns: the first is along the axis, and each value of the second has a line.
-    along, series = "time_of_day", "time"
-    axis_label = "time of day"
-    labels = table[along].unique().tolist()
-    if table["time"].nunique() > 1:
-        along, series = series, along
-        axis_label = f"UTC, from {table['time'].iloc[0][:10]}"
-        labels = [time[11:16] for time in table["time"].unique()]  # hours and minutes
-    table["x"] = table[along].factorize()[0]
-
     # A panel of the cost, and one of the length without a fix where a route has any.
     known = departures.facts
     facts = [f"{name}: {known[name]}" for name in FACTS if known.get(name)]
@@ -65,13 +62,17 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
         num = 1
         facts.append("no fix is known to be lost")
     note = f"{joined(*facts)}\n{frame_note(as_maps(maps))}"
+    if table["time"].nunique() == 1:
+        return _bars(table, num, note, form)
     figure = chart(HEIGHT_IN, "When to fly", note, **form)
     ratios = (2, 1)[:num]
     axes = figure.subplots(num, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
+    labels = [time[11:16] for time in table["time"].unique()]  # hours and minutes
+    table["x"] = table["time"].factorize()[0]
 
     # A line for each value, later ones thinner, so that all are seen where they coincide.
     cost, *no_fix = axes
-    lines = table.groupby(series, sort=False)
+    lines = table.groupby("time_of_day", sort=False)
     for colour, wide_pt, (name, line) in zip(SERIES_COLOURS, WIDTHS_PT, lines, strict=False):
         above = 100 * line["above_best"]
         changed = line["num_changed"] > 0
@@ -105,5 +106,42 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
     figure.align_ylabels(axes)
     step = math.ceil(len(labels) / MOST_TICKS)
     panel.set_xticks(range(0, len(labels), step), labels[::step])
-    panel.set_xlabel(axis_label)
+    panel.set_xlabel(f"UTC, from {table['time'].iloc[0][:10]}")
     return figure
+
+
+def _bars(table: pd.DataFrame, num: int, note: str, form: Form) -> Figure:
+    """Return the costs, and lengths without a fix, of the times of day of one time, as bars with their numbers.
+
+    Args:
+      table: a row for each time of day, as of `Departures.table`.
+      num: of panels: 1 without the lengths.
+      note: the lines beneath.
+      form: as of `plot_when`.
+    """
+    figure = chart(BAR_IN * (len(table) + 2), "When to fly", note, **form)
+    axes = figure.subplots(1, num, sharey=True, width_ratios=(2, 1)[:num], squeeze=False)[0]
+    names = "cost", "no_fix_m"
+    time = table["time"].iloc[0]
+    labels = f"cost at {time_said(time)}" if time else "cost", "no fix (m)"
+    texts = _costs_said(table), [f"{lost_m:,.0f}" for lost_m in table.get("no_fix_m", ())]
+    for number, panel in enumerate(axes):
+        panel.barh(range(len(table)), table[names[number]], height=0.6, color=BAR_COLOUR)
+        for row, text in enumerate(texts[number]):
+            panel.annotate(text, (0, row), (4, 0), textcoords=POINTS, va="center", color=INK)
+        name_rows(panel, table["time_of_day"].tolist())
+        panel.set(xlabel=letter(number, num) + labels[number], xlim=(0, None))
+    return figure
+
+
+def _costs_said(table: pd.DataFrame) -> list[str]:
+    """Return the cost of each row of departures in words: by how much it is above the best, and if routes change."""
+    said = []
+    for row in table.to_dict("records"):
+        text = f"{row['cost']:,.2f}: best"
+        if row["above_best"] > 0:
+            text = f"{row['cost']:,.2f}: {row['above_best']:.2%} above the best"
+        if row["num_changed"]:
+            text += ", another route"
+        said.append("no path" if math.isnan(row["cost"]) else text)
+    return said

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.checks import typed
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, in_words
 from jaxurban.kernels.tolerances import SAME_ROUTE_COST
 from jaxurban.knowledge import Caution
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
@@ -134,8 +134,8 @@ class Departures(FactsRepr):
         maps = next(filter(None, self.paths)).maps
         if maps is not None and len({*population_norms(maps).values()}) > 1:
             said += (
-                "; costs do not compare them, as people count relative to the densest place of each time of day: give "
-                "ju.Population(normalise=PEOPLE_PER_KM2) one number for all"
+                "; costs do not compare them, as people count relative to the densest place of each time of day: make "
+                f"maps with one number of people per km2 for all, {in_words('[population] normalise')}"
             )
         return said
 

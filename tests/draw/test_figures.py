@@ -401,6 +401,31 @@ def test_in_a_small_cell_a_map_stands_alone_and_fills_it(maps, side_in, is_alone
     plt.close(whole)
 
 
+def test_a_map_without_a_value_is_a_sentence_and_no_picture(maps):
+    gps = maps.ds["gps"]
+    empty = replace(maps, ds=maps.ds.assign(gps=gps * np.nan))
+    with pytest.raises(ju.InputError, match="gps has no value in any free cell of these maps"):
+        empty.plot("gps")
+    half = replace(maps, ds=maps.ds.assign(gps=gps.where(gps["altitude"] > 20.0)))
+    text = texts_of(plotting.plot_metric(half, "gps"))
+    assert "20 m  ·  no value" in text
+    assert "nan" not in text
+
+
+@pytest.mark.parametrize("size_in", [2.5, 10.0])
+def test_in_small_axes_maps_keep_their_room(maps, size_in):
+    whole, axes = plt.subplots(2, 2, figsize=(2 * size_in, 2 * size_in))
+    pictures = (plotting.plot_overview, plotting.plot_obstacles)
+    parts = [draw(maps, ax=ax) for draw, ax in zip(pictures, axes[0], strict=True)]
+    parts.append(plotting.plot_metric(maps, "gps", altitude_m=20.0, ax=axes[1, 0]))
+    parts.append(plotting.plot_paths(maps, make_path(maps, "astar"), ax=axes[1, 1]))
+    whole.draw_without_rendering()  # which warns where a layout collapses, and warnings fail
+    assert any(part.get_supxlabel() for part in parts) == (size_in > 3)
+    alone = panels_of(parts[2])[0].get_window_extent().width / whole.dpi
+    assert alone > 0.4 * size_in
+    plt.close(whole)
+
+
 @pytest.mark.parametrize(
     ("form", "said"),
     [

@@ -202,6 +202,20 @@ def test_a_strip_shows_the_table(maps, departures):
             )
 
 
+def test_times_of_day_of_one_time_are_bars_of_the_cost_from_zero(maps, departures):
+    rows = departures.table[departures.table["time"] == maps.times[0]]
+    table = rows.assign(no_fix_m=[0.0, 12.0], above_best=[0.0, 0.5], num_changed=[0, 1])
+    cost, no_fix = plot_when(replace(departures, table=table), maps).axes
+    for panel, values in ((cost, table["cost"]), (no_fix, table["no_fix_m"])):
+        assert [bar.get_width() for bar in panel.patches] == values.tolist()
+        assert panel.get_xlim()[0] == 0
+    texts = [text.get_text() for text in cost.texts]
+    assert texts[0].endswith(": best")
+    assert texts[1].endswith(": 50.00% above the best, another route")
+    assert [text.get_text() for text in no_fix.texts] == ["0", "12"]
+    assert [label.get_text() for label in cost.get_yticklabels()] == list(maps.times_of_day)
+
+
 def test_a_strip_without_a_stretch_without_a_fix_has_no_panel_for_it(maps, departures):
     table = departures.table.assign(no_fix_m=0.0)
     figure = plot_when(replace(departures, table=table), maps)
