@@ -40,6 +40,7 @@ KEPT_FOLDER = "kept"  # where files go that were in the way of an output
 LONGEST_SETTINGS = 200  # characters of two settings that differ, in an error
 Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or one on threads
 Sections = dict[str, dict[str, Any]]  # by command: ``settings``, and ``written``, checksums by name
+Differing = dict[str, tuple[Any, Any]]  # old and new value by dotted key, None for what is not set
 
 
 @dataclass(frozen=True)
@@ -199,19 +200,23 @@ class Workspace:
         Raises:
           InputError: the settings were others, files of the earlier run are there, and ``overwrite`` is False.
         """
-        differing = [name for name in new_settings if new_settings[name] != self.settings.get(name)]
+        names = [name for name in new_settings if new_settings[name] != self.settings.get(name)]
         has_files = any(os.path.lexists(self.folder / name) for name in self.written)
-        if differing and has_files and not overwrite:
-            name = differing[0]
-            label = name.replace("_", " ")
-            difference = f"its {label} is {self.settings.get(name)}, now {new_settings[name]}"
+        if names and has_files and not overwrite:
+            first = names[0]
+            pairs = differing({first: self.settings.get(first)}, {first: new_settings[first]})
+            words = [
+                f"its {key.replace('_', ' ')} is {old}, now {new}"
+                for key, (old, new) in pairs.items()
+            ]
+            difference = "; ".join(words)
             if len(difference) > LONGEST_SETTINGS:
-                difference = f"other {label}"
+                difference = f"other {first.replace('_', ' ')}"
             raise InputError(
                 f"{str(self.folder)!r} holds another run of `jaxurban {self.command}` ({difference}): {ELSEWHERE}, or "
                 "pass --overwrite to replace it"
             )
-        if differing or (overwrite and not self.is_mended):
+        if names or (overwrite and not self.is_mended):
             self.remove_all()
 
     def name_of(self, path: Path) -> str | None:
@@ -664,3 +669,30 @@ def _save(folder: Path, sections: Sections) -> None:
     elif ordered != stored:
         write_json(record, ordered, indent=2)
     (folder / JOURNAL_FILE).unlink(missing_ok=True)
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested settings by dotted key, such as ``region.resolution_m``; settings that are None are left out.
+
+    Args:
+      settings: nested, sections by name.
+      prefix: in front of every key, with its dot.
+    """
+    by_key: dict[str, Any] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            by_key |= _flat(value, f"{prefix}{name}.")
+        elif value is not None:
+            by_key[f"{prefix}{name}"] = value
+    return by_key
+
+
+def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Differing:
+    """Return what differs between two sets of settings, as JSON holds them.
+
+    Returns:
+      Old and new value by dotted key; None where a setting is not set.
+    """
+    before, after = _flat(old), _flat(new)
+    pairs = {key: (before.get(key), after.get(key)) for key in after | before}
+    return {key: (value, other) for key, (value, other) in pairs.items() if value != other}

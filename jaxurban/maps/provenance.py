@@ -20,7 +20,7 @@ from jaxurban.errors import readable
 from jaxurban.io.files import SCRATCH_SUFFIX, digest_of, read_json, visible_files, write_json
 from jaxurban.io.samples import located, structures_of
 from jaxurban.io.stored import RUN_FILE, ZARR_FOLDER, short_number
-from jaxurban.io.workspace import Workspace
+from jaxurban.io.workspace import Differing, Workspace, differing
 from jaxurban.maps.scenario import Scenario
 from jaxurban.metrics.population import FILES
 from jaxurban.progress import LOG
@@ -47,7 +47,6 @@ MAP_FOLDERS = (
     "maps",
 )  # of the package: what maps depend on
 
-Differing = dict[str, tuple[Any, Any]]  # old and new value by dotted key, None for what is not set
 # Path, SHA-256 and bytes of each input file and its companions, by its role.
 Inputs = Mapping[str, Mapping[str, Any]]
 SYSTEM_FOLDERS = ("/proc", "/sys", "/dev")  # of files that may have no end
@@ -283,33 +282,6 @@ def finished(scenario: Scenario, folder: Path) -> dict[str, Any] | None:
         if is_same and not has_remains and not run.broken(folder / name for name in run.written):
             return record
     return None
-
-
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted key, such as ``region.resolution_m``; settings that are None are left out.
-
-    Args:
-      settings: nested, sections by name.
-      prefix: in front of every key, with its dot.
-    """
-    by_key: dict[str, Any] = {}
-    for name, value in settings.items():
-        if isinstance(value, Mapping):
-            by_key |= _flat(value, f"{prefix}{name}.")
-        elif value is not None:
-            by_key[f"{prefix}{name}"] = value
-    return by_key
-
-
-def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Differing:
-    """Return what differs between two sets of settings, as JSON holds them.
-
-    Returns:
-      Old and new value by dotted key; None where a setting is not set.
-    """
-    before, after = _flat(old), _flat(new)
-    pairs = {key: (before.get(key), after.get(key)) for key in after | before}
-    return {key: (value, other) for key, (value, other) in pairs.items() if value != other}
 
 
 def differences_said(settings: Differing) -> str:

@@ -79,8 +79,8 @@ class Verdict:
         return self.needed == 0
 
     @property
-    def sentence(self) -> str:
-        """The record in words, without a full stop; if it is not decided, with the number of runs that would do."""
+    def finding(self) -> str:
+        """The record in words, without a full stop and without what would decide it."""
         *most, last = self.what or ("",)
         noun = self.noun if self.n != 1 else singular(self.noun)
         words = {
@@ -90,7 +90,12 @@ class Verdict:
             "size": sized(self.size, self.low, self.high, self.unit),
             "n": f"{self.n:,} {noun}",
         }
-        sentence = self.kind.value.format_map({**words, **self.facts})
+        return self.kind.value.format_map({**words, **self.facts})
+
+    @property
+    def sentence(self) -> str:
+        """The record in words, without a full stop; if it is not decided, with the number of runs that would do."""
+        sentence = self.finding
         if self.is_decided or math.isnan(self.needed):
             return sentence
         if math.isinf(self.needed):
@@ -125,7 +130,7 @@ class Conclusion(FactsRepr):
             left = f" Next asks for what would decide {served} of these {len(others)}."
         return {
             "decided": _line(decided),
-            "not decided": _line(others) + left,
+            "not decided": _line(others) + left + _cheapest(within_reach(others)),
             "next": self.next_command,
         }
 
@@ -159,6 +164,16 @@ def _line(verdicts: Sequence[Verdict]) -> str:
     if len(verdicts) > SHOWN:
         sentences.append(f"{len(verdicts) - SHOWN} more in {VERDICTS}.csv")
     return "; ".join(sentences) + "." if sentences else "Nothing."
+
+
+def _cheapest(verdicts: Sequence[Verdict]) -> str:
+    """Return which of several open verdicts the fewest further runs would decide; nothing of fewer than two."""
+    if len(verdicts) < 2:
+        return ""
+    least = min(verdicts, key=lambda each: each.needed - each.n)
+    more = math.ceil(least.needed - least.n)
+    noun = least.noun if more != 1 else singular(least.noun)
+    return f" The cheapest of these to decide, by some {more:,} more {noun}: {least.finding}."
 
 
 def sized(value: float, low: float, high: float, unit: str = "") -> str:

@@ -16,9 +16,9 @@ import xarray as xr
 from jaxurban.checks import at_least, one_of, typed
 from jaxurban.io.files import read_json
 from jaxurban.io.stored import RUN_FILE
+from jaxurban.io.workspace import Differing, differing
 from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
-from jaxurban.maps.provenance import Differing, differing
 from jaxurban.maps.shared import paired_times, shared_part
 from jaxurban.metrics.base import ALTITUDE
 from jaxurban.paths.rows import MapsFolder
@@ -214,9 +214,9 @@ class MapComparison(StudyResult):
         yield from border_verdict(routes.at_edge.to_numpy() > 0)
 
     def _of_guesses(self) -> Iterator[Verdict]:
-        """Yield that the sets rest on other guesses, such as how far their rays stay within the data."""
+        """Yield that sets that differ rest on other guesses, such as how far their rays stay within the data."""
         of_a, of_b = self.a.guesses, self.b.guesses
-        if of_a != of_b:
+        if of_a != of_b and self.table[["higher", "lower"]].any(axis=None):
             facts = {
                 "of_a": names_of(each for each in of_a if each not in of_b) or "nothing",
                 "of_b": names_of(each for each in of_b if each not in of_a) or "nothing",

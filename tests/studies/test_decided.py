@@ -268,3 +268,14 @@ def test_of_two_that_cannot_be_told_apart_the_better_one_on_common_runs_stands_f
 )
 def test_no_digit_says_what_is_not_known(numbers, text):
     assert sized(*numbers) == text
+
+
+def test_the_first_lines_name_the_open_question_that_the_fewest_further_runs_decide():
+    near = Verdict(Kind.MORE, ("a", "b"), 1.0, -0.2, 2.2, 30, "m", needed=33.0)
+    far = Verdict(Kind.MORE, ("c", "d"), 1.0, -1, 3, 60, "m", needed=120.0)
+    beyond = Verdict(Kind.MORE, ("e", "f"), 1.0, -9, 11, 30, "m", needed=math.inf)
+    text = Conclusion((far, near, beyond), "next").facts["not decided"]
+    assert text.endswith(
+        " The cheapest of these to decide, by some 3 more routes: b costs 1.0 m (-0.2 to 2.2) more than a (30 routes)."
+    )
+    assert "cheapest" not in Conclusion((far, beyond), "next").facts["not decided"]

@@ -1,5 +1,6 @@
 """A fit as a value: who flew its routes, which weights are next to 0, what the border made, and how it shows itself."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.fit import FitSettings, fit_targets, fit_weights
-from jaxurban.statistics.bootstrap import Interval
+from jaxurban.statistics.bootstrap import Clusters, Interval
 from jaxurban.statistics.conclusions import SharedVerdict, Verdict
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
 from jaxurban.studies.figures.tuning import plot_weights
@@ -111,16 +112,31 @@ def test_routes_that_were_held_out_and_are_not_counted_are_said(blind):
     sentence = fit.decided.verdicts[0].sentence
     assert "0.100 % (0.100 to 0.100) more than the cheapest" in sentence
     assert "not counted: 1 of 10 routes, with up to 20 % more; all of them have 2.1 %" in sentence
-    all_but_one = replace(fit, tested=Interval(0.0, 0.0, 0.0)).decided.verdicts[0].sentence
-    assert "each route" not in all_but_one
+
+
+def test_a_pilot_who_weighs_none_of_the_fitted_metrics_is_one_sentence(small):
+    instances = ju.studies.sample_instances(small, 3, altitudes_m=[20.0]).query("is_connected")
+    pilot = ju.Weights(distance=0.0, gps=0.0, lidar=1.0, population=0.0, risk=0.0)
+    flown = ju.fit.demonstrations(instances, small, pilot=pilot, metrics=["gps"])
+    with warnings.catch_warnings(action="error"):
+        fit = fit_weights(flown, bootstrap=0, settings=QUICK)
+    assert fit.table.pilot.isna().all()
+    (said,) = (each for each in fit.warnings if "pilot" in each)
+    assert said.startswith(
+        f"The pilot of {len(flown)} of {len(flown)} demonstrations gives no weight"
+    )
+    assert "to any of distance, gps, " in said
 
 
 def test_no_command_asks_about_what_no_routes_decide(blind):
     constant = Verdict(FitVerdict.CONSTANT, ("risk",), needed=np.inf)
-    fit = replace(blind, verdicts=(constant,), tested=Interval(0.0, 0.0, 0.0), num_tested=8)
+    none = Interval(0.0, 0.0, 0.0)
+    share = Clusters(np.arange(8)).interval(np.zeros(8), "share")
+    fit = replace(blind, verdicts=(constant,), tested=none, not_cheapest=share, num_tested=8)
     # 1 - 0.05^(1 / 8), as 8 of 8 are the cheapest once in 20 times where 31 % are not.
     assert fit.decided.verdicts[0].sentence.endswith(
-        "is the cheapest under the weights (8 pairs of ends): of all such routes at most 31 % are not"
+        "cost 0 % (0 to 0) more than the cheapest under the weights (8 pairs of ends), and of all such routes at most "
+        "31 % are not the cheapest"
     )
     assert not fit.decided.verdicts[-2].is_decided
     assert fit.decided.next_command.startswith("jaxurban plan")

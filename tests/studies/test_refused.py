@@ -199,6 +199,10 @@ ROWS = [
         lambda s: reweighed(s, settings=replace(WEIGHT_STUDY, wrong=3.0)),
     ),
     ("another run of `jaxurban sensitivity`", lambda s: reweighed(s, 1)),
+    (
+        r"its weights.gps is 1.0, now 2.0; its weights.risk is 1.0, now 0.5\)",
+        lambda s: reweighed(s, weights={"gps": 2.0, "risk": 0.5}),
+    ),
     ("factors must be two", lambda _: ju.studies.SensitivitySettings(factors=(0.1,))),
     ("nothing varies", lambda _: varied_columns(("distance", "gps"), np.array([0.1, 0.0]), ())),
     (

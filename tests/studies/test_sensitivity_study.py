@@ -22,9 +22,10 @@ from jaxurban.statistics.conclusions import SharedVerdict, Verdict
 from jaxurban.studies.figures.sensitivity import plot_regret
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.reports.sensitivity import sensitivity_report, shown_tables
+from jaxurban.studies.weights.changed_maps import changed_maps, differing_layers
 from jaxurban.studies.weights.routes import OnChangedMaps
 from jaxurban.studies.weights.summary import MORE, small_parts, summarise
-from jaxurban.studies.weights.verdicts import WeightVerdict, verdicts_of
+from jaxurban.studies.weights.verdicts import WeightVerdict, on_other_maps, verdicts_of
 from jaxurban.typing import Sensitivity
 from tests.cli_runs import TOWN, run
 from tests.pictures import faults
@@ -378,6 +379,29 @@ def test_routes_on_maps_without_their_sources_are_studied_but_for_drawn_heights(
     )
     assert set(found.changed.change) == {"time_of_day"}
     assert "maps in memory do not name their sources" in found.skipped[0]
+
+
+def test_only_layers_that_differ_at_another_time_of_day_are_named_and_alike_times_are_no_change(
+    alpha,
+):
+    settings = ju.studies.SensitivitySettings()
+
+    def changes(maps):
+        found = changed_maps("alpha", maps, maps, settings, None)
+        return [(name, step) for name, step, _ in found]
+
+    assert changes(alpha) == [("time_of_day", 1)]
+    assert differing_layers(alpha, "time_of_day", 1) == ["population"]
+    ds = alpha.ds.copy(deep=True)
+    ds["population"].values[1:] = ds["population"].values[0]
+    assert changes(ju.MetricMaps(ds)) == []
+
+    row = {"change": "time_of_day", "is_other": 0.2, "is_other_low": 0.1, "is_other_high": 0.3}
+    row |= {"routes": 40, "nominal_regret": 0.01}
+    people = on_other_maps(row | {"layers": "population"}).sentence
+    assert people.startswith("with people of another time of day 20 % (10 to 30) of the routes")
+    noise = on_other_maps(row | {"layers": "noise"}).sentence
+    assert noise.startswith("with m_noise of another time of day 20 %")
 
 
 @pytest.mark.slow

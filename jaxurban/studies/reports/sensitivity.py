@@ -21,19 +21,16 @@ from jaxurban.draw.write import (
 )
 from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.shared import population_norms
-from jaxurban.metrics.weights import Weights
-from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX
+from jaxurban.paths.queries import IN_METRES
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
 from jaxurban.statistics.conclusions import VERDICTS, Conclusion, Verdict, concluded
 from jaxurban.studies.decided import FEWEST_RUNS, wider_bounds
 from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes, plot_regret
-from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
-from jaxurban.studies.queries import ends_option, weights_option
+from jaxurban.studies.queries import ends_option, population_norms, weights_option
 from jaxurban.studies.results import SHARES, StudyResult, with_units
 from jaxurban.studies.weights import summary
-from jaxurban.studies.weights.cities import study_key
+from jaxurban.studies.weights.cities import shared_weights, study_key
 from jaxurban.studies.weights.one_route import MORE, OneRoute
 from jaxurban.studies.weights.routes import WeightsJob
 from jaxurban.studies.weights.settings import SensitivitySettings
@@ -299,7 +296,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     if "changed_summary" in tables:
         changed = tables["changed_summary"]
         statistics = interval_columns("is_other", "overlap", "nominal_regret", "nominal_is_closed")
-        columns = ["change", "of", "routes", "draws", *statistics]
+        columns = ["change", "layers", "of", "routes", "draws", *statistics]
         result["changed"] = changed.loc[changed.cut.isin([ALL, "city"]), columns]
     if "ways" in tables:
         ways = tables["ways"].rename(columns={"weight_name": "weight"})
@@ -317,11 +314,3 @@ def weights_said(instances: pd.DataFrame, maps: Iterable[MetricMaps]) -> str:
         return Markdown("those of each route (`instances.parquet`)")
     names = dict.fromkeys(("distance", *chain.from_iterable(each.metrics for each in maps)))
     return ", ".join(f"{name} {weights[name]:g}" for name in names)
-
-
-def shared_weights(instances: pd.DataFrame) -> Weights | None:
-    """Return the weights that all instances share; None where they differ."""
-    weights = instances[list(weight_columns(weighed_metrics(instances.columns)))]
-    if len(weights.drop_duplicates()) > 1:
-        return None
-    return Weights(**weights.iloc[0].rename(lambda name: name.removeprefix(WEIGHT_PREFIX)))

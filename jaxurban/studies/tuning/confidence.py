@@ -31,10 +31,9 @@ LEAST_WEIGHT = 1e-5  # of all weights: one that counts is not smaller
 class FitVerdict(Enum):
     """What a fit to routes decides, and what the routes cannot say."""
 
-    FOLLOWED = "routes that the fit did not see cost {size} more than the cheapest under the weights ({n}{left_out})"
-    ALL_CHEAPEST = (
-        "each route that the fit did not see is the cheapest under the weights ({n}): of all such routes at most "
-        "{most:.0f} % are not"
+    FOLLOWED = (
+        "routes that the fit did not see cost {size} more than the cheapest under the weights ({n}{left_out}), and of "
+        "all such routes at most {most:.0f} % are not the cheapest"
     )
     UNTESTED = (
         "how much more than the cheapest other routes cost is open: {size} on {n}; an interval takes {takes} pairs of "

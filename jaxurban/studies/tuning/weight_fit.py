@@ -68,8 +68,8 @@ class WeightFit(FitResult):
         the grid: that explain any routes within 3 cells of them as well), NaN without bootstrap; ``share_of_cost``, the
         part of the demonstrations' cost that the weight makes up; ``spread``, w_j x std(phi_j) over the demonstrations,
         scaled so that all of them have the length 1 together, by which fits can be compared; ``pilot``, the weights
-        under which all routes were planned, scaled to sum 1, NaN where these are not on record, or several; ``unit``,
-        per what it is.
+        under which all routes were planned, scaled to sum 1, NaN where these are not on record, several, or all 0;
+        ``unit``, per what it is.
       draws: ``[B, K]`` the weights of the bootstrap fits.
       regret: ``[Q]`` by which share each demonstration costs more than the cheapest route that a search finds under
         the weights.
@@ -86,7 +86,8 @@ class WeightFit(FitResult):
       is_held_out: ``[N]`` bool: the demonstrations that the weights were not fitted to.
       tested: by which share these cost more than the cheapest ones on average, with its interval over pairs of ends
         (some 90 %, as regrets are skewed), bad ones left out; NaN where there are none.
-      num_tested: pairs of ends that this rests on.
+      not_cheapest: the share of these that are not the cheapest, with its interval.
+      num_tested: pairs of ends that both rest on.
       num_held_out, num_pairs: pairs of ends that were held out, and of all demonstrations.
       routes: the ``Q`` demonstrations that were fitted.
       others: those that were held out; ``others_regret`` and ``others_trust`` are the regret and the trust of each.
@@ -117,6 +118,7 @@ class WeightFit(FitResult):
     is_settled: bool
     is_held_out: np.ndarray
     tested: Interval
+    not_cheapest: Interval
     num_tested: int
     num_held_out: int
     num_pairs: int
@@ -153,11 +155,9 @@ class WeightFit(FitResult):
                 needed, self.num_pairs, self.num_held_out / self.num_pairs
             )
         else:
-            left_out = self._left_out
-            kind = FitVerdict.FOLLOWED if high or left_out else FitVerdict.ALL_CHEAPEST
-            others = Clusters(np.arange(num)).interval(np.zeros(num), "share")
-            facts = {"most": 100 * others.high, "left_out": left_out}
-            verdicts = [Verdict(kind, (), size, low, high, num, "%", PAIRS, facts=facts)]
+            facts = {"most": 100 * self.not_cheapest.high, "left_out": self._left_out}
+            about = size, low, high, num, "%", PAIRS
+            verdicts = [Verdict(FitVerdict.FOLLOWED, (), *about, facts=facts)]
 
         # The weights that are known, those of the largest shares of the cost first, and what the routes cannot say.
         judged = {name: verdict.needed for verdict in self.verdicts for name in verdict.what}
@@ -312,7 +312,7 @@ def fit_weights(
     bar = float(np.where(drawn_cells, OPTIMAL_DRAWN_REGRET, OPTIMAL_REGRET).mean())
     metric_share = 1 - table.share_of_cost["distance"]
     verdict = _verdict_sentence(near_regret, bar, fit.trust, best, metric_share)
-    warnings = _warning_sentences(demonstrations, len(names), fit.trust, is_settled)
+    warnings = _warning_sentences(demonstrations, names, fit.trust, is_settled)
 
     # The regret of those that are held out. One far above the usual one of those that were fitted is bad.
     fitted = weights_from(queries[0], table.weight.to_numpy())
@@ -326,6 +326,9 @@ def fit_weights(
     num_held_out = len(np.unique(group[is_held_out]))
     num_pairs = len(np.unique(group))
     group, city = (each[is_held_out][is_tested] for each in (group, city))
+    pairs = Clusters(group, city, settings.seed)
+    tested = others_regret[is_tested]
+    is_above = (100 * tested).round(DIGITS) > 0
     return WeightFit(
         names=names,
         weights=fitted,
@@ -342,7 +345,8 @@ def fit_weights(
         elapsed_s=time.perf_counter() - begin_s,
         is_settled=is_settled,
         is_held_out=is_held_out,
-        tested=Clusters(group, city, settings.seed).interval(others_regret[is_tested]),
+        tested=pairs.interval(tested),
+        not_cheapest=pairs.interval(is_above.astype(float), "share"),
         num_tested=len(np.unique(group)),
         num_held_out=num_held_out,
         num_pairs=num_pairs,
@@ -360,9 +364,15 @@ def _pilot(demonstrations: Sequence[Demonstration], names: Sequence[str]) -> np.
     """
     pilots = {each.pilot for each in demonstrations}
     pilot = pilots.pop()
-    vector = np.zeros(len(names)) if pilot is None or pilots else pilot.vector(names)
-    total = vector.sum()
-    return vector / total if total else np.full(len(names), np.nan)
+    if pilot is None or pilots or _weighs_nothing(pilot, names):
+        return np.full(len(names), np.nan)
+    vector = pilot.vector(names)
+    return vector / vector.sum()
+
+
+def _weighs_nothing(pilot: Weights | None, names: Sequence[str]) -> bool:
+    """Return whether a pilot is known and every weight of these names is 0."""
+    return pilot is not None and not pilot.vector(names).any()
 
 
 def _left_out(constant: Sequence[str], queries: Sequence[RouteQuery]) -> set[str]:
@@ -437,20 +447,29 @@ def _verdict_sentence(
 
 
 def _warning_sentences(
-    demonstrations: Sequence[Demonstration], num_weights: int, trust: np.ndarray, is_settled: bool
+    demonstrations: Sequence[Demonstration],
+    names: Sequence[str],
+    trust: np.ndarray,
+    is_settled: bool,
 ) -> Iterator[str]:
     """Yield the further sentences that a reader of the fit must know: few, bad or altered routes, an unfinished search.
 
     Args:
       demonstrations: all, of which those with a note have a sentence each.
-      num_weights: K.
+      names: ``[K]`` of the weights.
       trust: ``[Q]`` in the end.
       is_settled: the last round found no better routes.
     """
     num = len(demonstrations)
-    if num < FEW * num_weights:
+    num_strange = sum(_weighs_nothing(each.pilot, names) for each in demonstrations)
+    if num_strange:
         yield (
-            f"There are few demonstrations ({num}) for {num_weights} weights, which are fitted all the same: others of "
+            f"The pilot of {num_strange} of {num} demonstrations gives no weight to any of {', '.join(names)}, so that "
+            "the fitted weights cannot be set beside the pilot's: fit the metrics that it weighs (--metrics, metrics=)."
+        )
+    if num < FEW * len(names):
+        yield (
+            f"There are few demonstrations ({num}) for {len(names)} weights, which are fitted all the same: others of "
             "the same kind may ask for quite other ones."
         )
     num_bad = int((trust < DISTRUSTED).sum())

@@ -74,6 +74,7 @@ def add_changed_rows(
                 on_changed = OnChangedMaps(
                     nominal_at=nominal_at,
                     change=dict(zip(CHANGE, (change, draw), strict=True)),
+                    layers=",".join(differing_layers(maps, change, draw)),
                     snap=job.snap,
                     cost_model=job.cost_model,
                     constraints=job.constraints,
@@ -101,7 +102,7 @@ def changed_maps(
     """Yield of each change of maps its name and number (`CHANGE`), and what makes them, or the error why none does.
 
     The first ones are the maps themselves with the times, or the times of day, of one dimension moved on by one or
-    more, so that each time has the map of another one.
+    more, so that each time has the map of another one; where this changes no layer, none is made.
 
     Args:
       city: of the maps, for the report.
@@ -112,7 +113,8 @@ def changed_maps(
     """
     for name in ("time", "time_of_day"):
         for step in range(1, maps.ds.sizes.get(name, 1)):
-            yield name, step, partial(_moved_on, maps, name, step)
+            if differing_layers(maps, name, step):
+                yield name, step, partial(_moved_on, maps, name, step)
     if not settings.num_heights:
         return
     try:
@@ -134,6 +136,19 @@ def _moved_on(maps: MetricMaps, name: str, step: int) -> MetricMaps:
     """Return maps in which each of the times of a dimension has the map of the one that comes ``step`` after it."""
     order = np.roll(np.arange(maps.ds.sizes[name]), -step)
     return replace(maps, ds=maps.ds.isel({name: order}).assign_coords({name: maps.ds[name]}))
+
+
+def differing_layers(maps: MetricMaps, name: str, step: int) -> list[str]:
+    """Return the metrics whose maps differ where times are moved on (`_moved_on`); none of heights."""
+    if name == HEIGHTS:
+        return []
+    moved = _moved_on(maps, name, step)
+    variables = {metric: maps.variable(metric) for metric in maps.metrics}
+    return [
+        metric
+        for metric, variable in variables.items()
+        if not maps.ds[variable].equals(moved.ds[variable])
+    ]
 
 
 def _made(task: MapTask) -> MetricMaps:

@@ -241,14 +241,28 @@ def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
         )
 
 
+def shared_weights(instances: pd.DataFrame) -> Weights | None:
+    """Return the weights that all instances share; None where they differ."""
+    weights = instances[list(weight_columns(weighed_metrics(instances.columns)))]
+    if len(weights.drop_duplicates()) > 1:
+        return None
+    return Weights(**weights.iloc[0].rename(lambda name: name.removeprefix(WEIGHT_PREFIX)))
+
+
 def study_key(
     job: WeightsJob, maps: Mapping[str, MetricMaps], instances: pd.DataFrame
 ) -> dict[str, Any]:
-    """Return what identifies a study in its folder: its rules, its maps by city, and how many routes, with a digest."""
+    """Return what identifies a study in its folder: rules, weights, maps, and how many routes, with a digest."""
+    weights: dict[str, float] = {}
+    for city, of_city in instances.groupby("city"):
+        shared = shared_weights(of_city)
+        if shared is not None:
+            weights |= {name: shared[name] for name in ("distance", *maps[str(city)].metrics)}
     plain = instances.drop(columns="is_connected").sort_values(list(ROUTE_KEY))
     return job.to_dict() | {
         "maps": {city: each.identity for city, each in maps.items()},
         "order_of_cities": [*maps],
+        "weights": weights,
         "routes": f"{len(plain)} ({fingerprint(plain.to_csv(index=False))})",
     }
 

@@ -41,7 +41,7 @@ OF_WEIGHT = (
 )
 TOGETHER = "together:"  # begins the columns of two weights, as "together:gps,risk"
 SIGNS = np.array([(1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (-1.0, -1.0)])  # of two weights
-TEXTS = ("city", "status", "note", "vary", "change")
+TEXTS = ("city", "status", "note", "vary", "change", "layers")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,11 +234,13 @@ class OnChangedMaps(RouteJob):
     Attributes:
       nominal_at: returns the cost map of the nominal maps at an altitude, time and time of day.
       change: the columns that name the changed maps, with their values.
+      layers: the metrics that the change of times changes, parted by commas.
       snap: of the ends on the nominal maps.
     """
 
     nominal_at: Callable[..., CostMap]
     change: Mapping[str, Any]
+    layers: str = ""
     snap: bool | float = False
 
     key = ROUTE_KEY
@@ -254,7 +256,7 @@ class OnChangedMaps(RouteJob):
         other = replace(nominal, cost_map=cost_map)
         if not all(cost_map.is_free[cell] for cell in (nominal.start, nominal.goal)):
             raise InputError("an end of the route is closed on these maps")
-        return [_compared(nominal, other, weights)]
+        return [_compared(nominal, other, weights) | {"layers": self.layers}]
 
 
 def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> dict[str, Any]:

@@ -209,7 +209,7 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
     Parts with fewer than `FEWEST_RUNS` routes are left out.
 
     All draws of heights count together, and their intervals are of draws and of routes at once. The columns are the
-    means of the columns of `jaxurban.studies.weights.routes.OnChangedMaps`.
+    means of the columns of `jaxurban.studies.weights.routes.OnChangedMaps`; ``layers`` are the metrics that change.
 
     Args:
       changed: rows of routes on other maps.
@@ -217,8 +217,9 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
     changed = changed[changed.status.isin(HAS_PATH)]
     rows = []
     for change, of_change in changed.groupby("change", sort=False):
+        layers = dict.fromkeys(",".join(of_change.layers.unique()).split(","))
         for cut, value, part in cuts_of(of_change):
-            head = {"change": change, "cut": cut, "of": value}
+            head = {"change": change, "layers": ",".join(layers), "cut": cut, "of": value}
             rows.append(head | _changes_of(part))
     return pd.DataFrame(rows)
 

@@ -23,9 +23,10 @@ PAID_WORDS = {
 }
 CHANGE_WORDS = {
     HEIGHTS: "heights drawn within their uncertainty",
-    "time": "satellites of another time",
-    "time_of_day": "people of another time of day",
+    "time": "{layers} of another time",
+    "time_of_day": "{layers} of another time of day",
 }
+LAYER_WORDS = {"gps": "satellites", "population": "people"}  # of metrics that change with the time
 OF_COST = "% of the cost"
 PAIRS = "pairs of places"
 
@@ -79,7 +80,7 @@ def verdicts_of(
     verdicts[1:1] = together_verdicts(tables["together"], settings)
     if "changed_summary" in tables:
         changed = tables["changed_summary"]
-        verdicts += map(_on_other_maps, changed[changed.cut == ALL].to_dict("records"))
+        verdicts += map(on_other_maps, changed[changed.cut == ALL].to_dict("records"))
     return verdicts + border_verdict(tables["routes"].at_edge.dropna().to_numpy() > 0)
 
 
@@ -187,10 +188,11 @@ def together_verdicts(table: pd.DataFrame, settings: SensitivitySettings) -> Ite
         yield Verdict(WeightVerdict.TOGETHER, tuple(row.weights.split(",")), *about, facts)
 
 
-def _on_other_maps(row: Mapping[Any, Any]) -> Verdict:
+def on_other_maps(row: Mapping[Any, Any]) -> Verdict:
     """Return how a change of maps changes routes, from a row of the summary of them."""
     share, low, high = (100 * row[f"is_other{end}"] for end in ("", "_low", "_high"))
-    words = CHANGE_WORDS.get(row["change"], row["change"])
+    names = [LAYER_WORDS.get(name, f"m_{name}") for name in row["layers"].split(",")]
+    words = CHANGE_WORDS[row["change"]].format(layers=" and ".join(names))
     facts = {"kept": 100 * row["nominal_regret"]}
     kind = WeightVerdict.OTHER_MAPS
     noun = "route" if row["routes"] == 1 else "routes"
