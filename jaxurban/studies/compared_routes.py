@@ -1,5 +1,6 @@
 """Routes planned on one set of maps and judged by another: what a difference of maps changes for routes."""
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -9,17 +10,25 @@ import shapely
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import FIX
 from jaxurban.paths.batch import plan_many
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map
 from jaxurban.paths.profile import cut_on, profile_of, without_fix
 from jaxurban.paths.queries import IN_METRES
 from jaxurban.progress import Report
-from jaxurban.studies.decided import edge_band, is_at_edge
+from jaxurban.studies.baseline import MEASURES, SHORTEST
 from jaxurban.studies.montecarlo.sampling import sample_joined
+from jaxurban.studies.weights.paid import paid_on
 
 SAME = 1e-4  # share of the cost: a route that costs no more above the cheapest one is as good
-JUDGED = ["length_m", "cost", "best_there", "cost_there", "is_closed", "apart_m", "at_edge"]
-NO_FIX = ["no_fix_m", "no_fix_there_m"]
+# What is judged: A's routes on A and on B, B's own on B, and A's of distance alone on A.
+THERE, BEST = "there_", "best_"
+JUDGED = [
+    *("length_m", "cost", "best_there", "cost_there", "is_closed", "apart_m", "at_edge"),
+    *("exposure", "people_below", "no_fix_m"),
+    *(f"{of}{name}" for of in (THERE, BEST, SHORTEST) for name in MEASURES),
+    f"{SHORTEST}cost",
+]
 
 
 def compared_routes(
@@ -49,7 +58,9 @@ def compared_routes(
       that are closed on B or comes too near one, and ``is_changed`` where it is closed or its regret is above `SAME`.
       ``no_fix_m`` and ``no_fix_there_m`` are its lengths without a position fix on A and on B, as of `explain`.
       ``apart_m`` is how far it and B's own route are apart at most, and ``at_edge`` is 1 where it runs along the border
-      of the data. What is not known is NaN.
+      of the data. ``length_m``, ``no_fix_m`` and ``people_below`` are what a user pays (`paid_on`), ``exposure`` is the
+      cost without that of the length, all on A; with `THERE` of A's route on B, with `BEST` of B's own, and with
+      `SHORTEST` of the shortest route on A, that of distance alone. What is not known is NaN.
 
     Raises:
       InputError: too few pairs that a path joins on A, or the scenario asks what B does not hold.
@@ -62,35 +73,31 @@ def compared_routes(
     plan_all = partial(plan_many, planner="astar", budget_s=np.inf, progress=report)
     on_a = plan_all(a, queries, time=times[0])
     on_b = plan_all(b, queries, time=times[1])
-    if on_a.was_interrupted or on_b.was_interrupted:
+    shortest = plan_all(a, queries, time=times[0], objective="distance")
+    plans = on_a, on_b, shortest
+    if any(each.was_interrupted for each in plans):
         raise KeyboardInterrupt
 
-    # What each route costs on B.
-    maps_b = {z_m: cost_map(b, z_m, time=times[1]) for z_m in b.altitudes_m}
-    band = edge_band(a)
+    # What each route costs on both maps.
+    judges_a = {z_m: _judge(cost_map(a, z_m, time=times[0])) for z_m in a.altitudes_m}
+    judges_b = {z_m: _judge(cost_map(b, z_m, time=times[1])) for z_m in b.altitudes_m}
     rows: list[dict[str, float]] = []
-    for altitude_m, path, best in zip(table.altitude_m, on_a, on_b, strict=True):
-        rows.append({})
-        if path is None or not path.status.has_path:
+    for altitude_m, path, best, short in zip(table.altitude_m, *plans, strict=True):
+        judge_a, judge_b = judges_a[altitude_m], judges_b[altitude_m]
+        row = judge_a(path)
+        rows.append(row)
+        if not row:
             continue
-        problem = maps_b[altitude_m].problem
-        features = problem.features(path.search.points_m)
-        rows[-1] = {
-            "length_m": path.length_m,
-            "cost": path.search.cost,
-            "cost_there": features.cost(problem.weights) if features.is_valid else np.nan,
-            "is_closed": float(not features.is_valid),
-            "at_edge": float(is_at_edge(path.search.points_m, a.grid, band)),
-            "no_fix_m": _no_fix_m(path, a, times[0]),
-            "no_fix_there_m": _no_fix_m(path, b, times[1]),
-        }
-        if best is not None and best.status.has_path:
+        there = judge_b(path)
+        row["is_closed"] = float(not there)
+        others = {THERE: there, BEST: judge_b(best), SHORTEST: judge_a(short)}
+        for of, facts in others.items():
+            row |= {f"{of}{name}": value for name, value in facts.items()}
+        if others[BEST]:
             lines = (shapely.LineString(each.search.points_m) for each in (path, best))
-            rows[-1] |= {
-                "best_there": best.search.cost,
-                "apart_m": float(shapely.hausdorff_distance(*lines)),
-            }
-    judged = pd.DataFrame(rows, columns=[*JUDGED, *NO_FIX])
+            row["apart_m"] = float(shapely.hausdorff_distance(*lines))
+    names = {f"{THERE}cost": "cost_there", f"{BEST}cost": "best_there"}
+    judged = pd.DataFrame(rows).rename(columns=names).reindex(columns=JUDGED)
     regret = (judged.cost_there / judged.best_there - 1).clip(lower=0)
     is_changed = (judged.is_closed > 0) | (regret > SAME)
     return table.assign(
@@ -102,10 +109,21 @@ def compared_routes(
     )
 
 
-def _no_fix_m(path: PlannedPath, maps: MetricMaps, time: str | None) -> float:
-    """Return the length of a route without a position fix by maps at a time; NaN where they do not know it."""
-    _, parts = cut_on(path, maps)
-    profile = profile_of(parts, maps, {FIX: FIX}, {**path.settings, "time": time})
-    if FIX not in profile:
-        return np.nan
-    return float(sum(to_m - from_m for from_m, to_m in without_fix(profile)))
+def _judge(on_map: CostMap) -> Callable[[PlannedPath | None], dict[str, float]]:
+    """Return a function of a route that returns its cost on a map and what a user pays; empty where it is closed."""
+    paid = paid_on(on_map)
+    problem = on_map.problem
+
+    def judged(path: PlannedPath | None) -> dict[str, float]:
+        """Return what a route costs; nothing without one."""
+        if path is None or not path.status.has_path:
+            return {}
+        points_m = path.search.points_m
+        features = problem.features(points_m)
+        if not features.is_valid:
+            return {}
+        cost = features.cost(problem.weights)
+        exposure = float(cost - problem.weights[0] * features.phi[0])
+        return paid(points_m) | {"cost": cost, "exposure": exposure}
+
+    return judged

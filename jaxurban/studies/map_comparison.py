@@ -26,6 +26,7 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.settings import iso_utc
 from jaxurban.statistics.bootstrap import Clusters
 from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, sized
+from jaxurban.studies.baseline import baseline_verdicts
 from jaxurban.studies.compared_routes import SAME as SAME_COST
 from jaxurban.studies.compared_routes import compared_routes
 from jaxurban.studies.decided import border_verdict, effects, wider_bounds
@@ -189,7 +190,7 @@ class MapComparison(StudyResult):
         return Verdict(MapVerdict.CELLS, n=int(obstacles.cells), noun="cells", facts=facts)
 
     def _of_routes(self) -> Iterator[Verdict]:
-        """Yield how many of A's routes change on B, what it costs to keep them, and how many the border may decide."""
+        """Yield how many of A's routes change on B, what it costs to keep them, the baseline, and the border's part."""
         if self.routes.empty:
             yield Verdict(MapVerdict.NO_ROUTES, needed=np.nan)
             return
@@ -211,6 +212,7 @@ class MapComparison(StudyResult):
         if facts["count"] and num:
             kind = MapVerdict.KEPT_OPEN if needed else MapVerdict.KEPT
             yield Verdict(kind, (), size, low, high, int(num), "%", "pairs", needed)
+        yield from baseline_verdicts(routes, routes.pair, "pairs")
         yield from border_verdict(routes.at_edge.to_numpy() > 0)
 
     def _of_guesses(self) -> Iterator[Verdict]:

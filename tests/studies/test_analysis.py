@@ -132,7 +132,7 @@ def test_planners_are_ranked_by_cost_where_both_found_a_path_and_by_the_pairs_th
     solved = of_pairs.pairs.set_index(["first", "second"])
     assert solved.loc[(CHEAP, LINE)].size == 5
     assert solved.loc[(CHEAP, LINE), "size"] == pytest.approx(100 * 6 / 11)
-    place = dict.fromkeys(IN_METRES, 5.0) | {"altitude_m": 20.0, "instance": 1}
+    place = dict.fromkeys(IN_METRES, 5.0) | {"altitude_m": 20.0, "instance": 1, "w_distance": 0.1}
     given = pd.DataFrame([place]), made_maps(10, 10), "jaxurban study city.toml -o DIR"
     decided = analysis.conclusion(table.assign(at_edge=0.0), *given)
     assert decided.facts["next"].startswith(
@@ -157,7 +157,8 @@ def test_of_one_planner_there_is_nothing_to_compare(table):
         lost | dict.fromkeys(IN_METRES, 5.0),
         lost | dict.fromkeys(IN_METRES, 15.0) | {"instance": 1},
     ]
-    alone = table[table.planner == CHEAP].assign(at_edge=0.0)
+    is_alone = (table.planner == CHEAP) & (table.objective == "weighted")
+    alone = table[is_alone].assign(at_edge=0.0)
     given = pd.DataFrame(places), maps, ""
     lines = analysis.conclusion(alone, *given).facts
     assert lines["not decided"] == (f"there is nothing to compare, as {CHEAP} is the only planner.")
@@ -176,6 +177,23 @@ def test_shortest_paths_are_set_against_the_cheapest(table):
     changes = [found[f"{name}_change"] for name in ("cost", "length_m", "m_gps")]
     assert changes == pytest.approx([50, -20, -0.25])  # percent, metres, m
     assert "m_lidar_change" not in found
+
+
+def test_cheapest_paths_are_set_beside_the_baseline_of_distance_alone(table):
+    """Costs of 10 and 15 over 100 m and 80 m at 0.05 a metre: 5 of exposure beside 11, 54.5 % less, for 20 m of way."""
+    instances = pd.DataFrame({"instance": range(12), "altitude_m": 20.0, "w_distance": 0.05})
+    (verdict,) = analysis.beside_baseline(table, instances)
+    assert verdict.is_decided
+    assert (verdict.n, verdict.low, verdict.size) == pytest.approx((10, 600 / 11, 600 / 11))
+    assert "have 54.5 % (54.5 to 54.5) less exposure" in verdict.sentence
+    assert "distance alone, the baseline (10 instances" in verdict.sentence
+    assert "on average: 20.0 m of way (20.0 to 20.0)" in verdict.sentence
+    weighted = table[table.objective == "weighted"]
+    assert analysis.beside_baseline(weighted, instances) == []
+    by_other = table.assign(planner=table.planner.mask(table.objective == "distance", "astar-dist"))
+    assert analysis.beside_baseline(by_other, instances)[0].sentence == verdict.sentence
+    of_line = table.assign(planner=LINE)  # whose straight segments are no paths of the grid
+    assert analysis.beside_baseline(of_line, instances) == []
 
 
 def test_the_interval_of_independent_values_is_that_of_the_normal_law():

@@ -134,3 +134,47 @@ def test_the_report_has_the_regret_of_each_altitude_and_the_rules_of_the_routes(
     rules = "cost model: line"
     assert f"those of A's scenario ({rules}" in found.report.text
     assert "weights: distance 0.1, gps 1, lidar 1, population 1, risk 1" in found.report.text
+
+
+@pytest.mark.slow
+def test_what_is_flown_is_summed_by_hand_beside_the_shortest_route(maps, found):
+    """A route's exposure is its cost without its length's; metres without a fix are those in cells of infinite HDOP."""
+    here, there = maps
+    for row in found.routes[found.routes.altitude_m == 20].head(12).itertuples():
+        path = ju.cost_map(here, 20.0).plan(*ends(row))
+        short = ju.cost_map(here, 20.0, objective="distance").plan(*ends(row))
+        assert row.exposure == pytest.approx(row.cost - 0.1 * row.length_m, rel=1e-9)
+        assert row.shortest_length_m == pytest.approx(short.length_m, rel=1e-9)
+        assert row.shortest_length_m <= row.length_m + 1e-6
+        assert row.shortest_exposure >= row.exposure - 1e-6
+        assert row.shortest_cost >= row.cost - 1e-6
+        for maps_of, route, no_fix_m in (
+            (here, path, row.no_fix_m),
+            (there, path, row.there_no_fix_m),
+            (here, short, row.shortest_no_fix_m),
+        ):
+            cut = crossed_cells(route.search.points_m, maps_of.grid.resolution_m)
+            lost = ~np.isfinite(maps_of.m("hdop", 20.0)[cut.row, cut.col])
+            if not np.isnan(no_fix_m):
+                assert no_fix_m == pytest.approx(cut.length_m @ lost, abs=1e-6)
+    (verdict,) = (each for each in found.decided.verdicts if each.kind.name.startswith("LESS"))
+    less = 100 * (1 - found.routes.exposure / found.routes.shortest_exposure)
+    assert verdict.size == pytest.approx(less.mean())
+    assert verdict.low <= verdict.size <= verdict.high
+    more_m = (found.routes.length_m - found.routes.shortest_length_m).mean()
+    assert f"{more_m:.1f} m of way" in verdict.sentence
+    assert verdict.sentence in found.report.text
+    assert "| 20 | distance alone | A | A |" in found.report.text
+
+
+@pytest.mark.slow
+def test_a_folder_of_other_weights_is_refused_by_the_weights_that_differ(maps, found, tmp_path):
+    found.save(tmp_path)
+    weights = ju.Weights(gps=2.0, risk=0.5).to_dict()
+    other = maps[0].with_recorded(maps[0].recorded | {"weights": weights})
+    again = ju.studies.compare(other, maps[1], routes=NUM, seed=3, progress=False)
+    with pytest.raises(ju.InputError) as refused:
+        again.save(tmp_path)
+    assert "(its weights.gps is 1.0, now 2.0; its weights.risk is 1.0, now 0.5)" in str(
+        refused.value
+    )

@@ -16,12 +16,16 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.queries import IN_METRES, WEIGHT_PREFIX
 from jaxurban.paths.rows import BAD_INPUT, CRASHED, HAS_PATH
 from jaxurban.planners.base import Status
+from jaxurban.planners.registry import EXACT_PLANNERS
 from jaxurban.statistics.bootstrap import Clusters, Interval, named
 from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded
+from jaxurban.studies.baseline import SHORTEST, baseline_verdicts
 from jaxurban.studies.decided import Measure, Ranking, border_verdict, effects, ranked, wider_bounds
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 from jaxurban.studies.queries import ends_option, weights_option
+
+OF_LENGTH = f"{WEIGHT_PREFIX}distance"  # the weight of a metre
 
 
 def with_instances(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
@@ -240,6 +244,28 @@ def best_rows(table: pd.DataFrame) -> pd.DataFrame:
     return rows.loc[rows.groupby(KEY).cost.idxmin()]
 
 
+def beside_baseline(table: pd.DataFrame, instances: pd.DataFrame) -> list[Verdict]:
+    """Return how much less exposure the cheapest grid paths have than the shortest ones; nothing without both.
+
+    Only exact planners of the grid count (`EXACT_PLANNERS`), whose paths are the cheapest of one graph.
+
+    Args:
+      table: from `with_instances`.
+      instances: of the benchmark, for the weight of the distance.
+    """
+    exact = table[table.planner.isin(EXACT_PLANNERS) & table.has_path]
+    paths = exact.drop_duplicates([*KEY, "objective"]).merge(instances[[*KEY, OF_LENGTH]], on=KEY)
+    exposure = paths.cost - paths[OF_LENGTH] * paths.length_m
+    columns = [*KEY, "length_m", "exposure"]
+    by_objective = paths.assign(exposure=exposure).groupby("objective")[columns]
+    found = {str(objective): part.set_index(KEY) for objective, part in by_objective}
+    if found.keys() != {WEIGHTED, DISTANCE}:
+        return []
+    both = found[WEIGHTED].join(found[DISTANCE].add_prefix(SHORTEST), how="inner")
+    pairs = both.index.get_level_values("instance")
+    return list(baseline_verdicts(both, pairs, "instances that a grid path joins"))
+
+
 def conclusion(
     table: pd.DataFrame, instances: pd.DataFrame, maps: MetricMaps, again: str
 ) -> Conclusion:
@@ -255,6 +281,7 @@ def conclusion(
     rankings_of = rankings(table)
     for measure, ranking in rankings_of.items():
         verdicts += ranking.verdicts(*KINDS[measure])
+    verdicts += beside_baseline(table, instances)
     planners = table.planner.unique()
     if len(planners) == 1:
         verdicts.append(Verdict(StudyVerdict.ALONE, (str(planners[0]),), needed=math.nan))

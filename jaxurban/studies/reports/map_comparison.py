@@ -1,7 +1,7 @@
 """report.md of a comparison of maps, with its tables, and figures of differences, each on one scale around zero."""
 
 from functools import partial
-from typing import Unpack
+from typing import Any, Unpack
 from zlib import crc32
 
 import numpy as np
@@ -22,13 +22,23 @@ from jaxurban.draw.frame import (
 from jaxurban.draw.style import difference_colours, drawing
 from jaxurban.draw.write import Markdown, ResultReport, bullets, plain
 from jaxurban.knowledge import names_of
-from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import TIME, ones_said
 from jaxurban.paths.plan import cost_map
 from jaxurban.pictures import MapForm
-from jaxurban.statistics.bootstrap import Clusters
+from jaxurban.statistics.bootstrap import Clusters, named
+from jaxurban.studies.baseline import MEASURES, SHORTEST, baseline_said
+from jaxurban.studies.compared_routes import BEST, THERE
 from jaxurban.studies.decided import effects
 from jaxurban.studies.map_comparison import MapComparison
+
+# The rows of routes by weights and maps: how their columns begin, and that of their cost under A's weights.
+FLOWN = {
+    ("A's", "A", "A"): ("", "cost"),
+    ("A's", "A", "B"): (THERE, "cost_there"),
+    ("A's", "B", "B"): (BEST, "best_there"),
+    ("distance alone", "A", "A"): (SHORTEST, f"{SHORTEST}cost"),
+}
+COSTS = [cost for _, cost in FLOWN.values()]
 
 
 @drawing
@@ -117,9 +127,23 @@ def _by_altitude(routes: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _rules_said(maps: MetricMaps) -> str:
-    """Return the weights, the cost model and the constraints of the scenario that maps record."""
-    return rules_said(cost_map(maps, maps.altitudes_m[0]).record)
+def _flown(routes: pd.DataFrame) -> pd.DataFrame:
+    """Return what routes cost and what is flown by altitude, weights and maps, of the pairs that have all of them."""
+    if routes.empty:
+        return routes
+    rows: list[dict[str, Any]] = []
+    known = routes.dropna(subset=COSTS)
+    for (weights, planned_on, flown_on), (of, cost) in FLOWN.items():
+        measures = {"cost": cost, **{name: f"{of}{name}" for name in MEASURES}}
+        for altitude_m, each in known.groupby("altitude_m"):
+            row = {"altitude_m": altitude_m, "weights": weights, "planned on": planned_on}
+            row |= {"flown on": flown_on, "routes": len(each)}
+            clusters = Clusters(each.pair)
+            for name, column in measures.items():
+                row |= named(name, clusters.interval(each[column]))
+            rows.append(row)
+    table = pd.DataFrame(rows).dropna(axis=1, how="all")
+    return table.sort_values("altitude_m", kind="stable") if rows else table
 
 
 def comparison_report(result: MapComparison) -> ResultReport:
@@ -127,8 +151,11 @@ def comparison_report(result: MapComparison) -> ResultReport:
     table = result.table
     tables = {"layers": table}
     routes = result.routes
+    rules, weights = "", {}
     if len(routes):
         tables["routes"] = routes
+        record = cost_map(result.a, result.a.altitudes_m[0]).record
+        rules, weights = rules_said(record), record["weights"]
 
     # The layers that differ, and a row for each of their maps, at the first time of those that have times.
     changed = table[table.higher + table.lower > 0].layer.unique().tolist()
@@ -139,13 +166,18 @@ def comparison_report(result: MapComparison) -> ResultReport:
     return ResultReport(
         "studies/templates/compare",
         {
-            "tables": {"values": values.drop(columns="time"), "routes": _by_altitude(routes)},
+            "tables": {
+                "values": values.drop(columns="time"),
+                "routes": _by_altitude(routes),
+                "flown": _flown(routes),
+            },
             "credits": [result.a.attribution, result.b.attribution],
             "names": result.names,
             "facts": result.a.facts,
             "legend": ones_said(result.a.metrics),
             "guessed": [names_of(result.a.guesses), names_of(result.b.guesses)],
-            "rules": _rules_said(result.a) if len(routes) else "",
+            "baseline": baseline_said(result.decided),
+            "rules": rules,
             "pairs": routes.pair.nunique() if len(routes) else 0,
             "settings": bullets(settings) or "None that is known.",
             "left_out": ", ".join(result.left_out) or "nothing",
@@ -156,6 +188,7 @@ def comparison_report(result: MapComparison) -> ResultReport:
         key={
             "maps": list(result.names),
             "routes": len(routes) // len(result.a.altitudes_m),
+            "weights": weights,
             "values": crc32((table.to_csv() + routes.to_csv()).encode()),
         },
         decided=result.decided,

@@ -14,6 +14,7 @@ from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
 from jaxurban.pictures import MapForm
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS
+from jaxurban.studies.baseline import baseline_said
 from jaxurban.studies.decided import FEWEST_RUNS
 from jaxurban.studies.figures.montecarlo import plot_costs
 from jaxurban.studies.montecarlo import analysis
@@ -23,6 +24,10 @@ from jaxurban.studies.reports.sensitivity import weights_said
 
 # The column of each table that counts runs.
 COUNTS = {"success": "joined", "costs": "runs", "times": "runs", "objectives": "pairs"}
+NO_BASELINE = (
+    "planners are compared with each other alone, as no A* planned both the cheapest and the shortest paths "
+    "(study.planners, study.distance_only)"
+)
 NUM_DRAWN = 4  # routes of a picture
 
 
@@ -108,6 +113,7 @@ def benchmark_report(result: BenchmarkResult) -> ResultReport:
         "weights": weights_said(result.instances, [result.maps]),
         "constraints": str(settings.constraints) or "none",
         "joined": joined_with_and(f"{share:.1%} at {z:g} m" for z, share in share_joined.items()),
+        "baseline": baseline_said(result.decided) or NO_BASELINE,
         "num_crashed": (table.status == CRASHED).sum(),
         "num_odd": table.status.isin(["invalid", "bad-input"]).sum(),
         "fewest": FEWEST_GROUPS,

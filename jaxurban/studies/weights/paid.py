@@ -12,7 +12,8 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.studies.decided import edge_band, is_at_edge
 
 SWATH_M = 10.0  # width of the strip in which people are counted, as in `jaxurban.explain`
-PAID = ("length_m", "people_below", "no_fix_m", "at_edge")
+AMOUNTS = ("length_m", "people_below", "no_fix_m")
+PAID = (*AMOUNTS, "at_edge")
 Paid = dict[str, float]
 
 

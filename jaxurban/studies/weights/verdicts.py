@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from jaxurban.statistics.bootstrap import Clusters
 from jaxurban.statistics.conclusions import Verdict, sized
 from jaxurban.studies.decided import Measure, Ranking, border_verdict, ranked
 from jaxurban.studies.weights.one_route import OneRoute
@@ -133,7 +134,7 @@ def _ranks(
     rows: Any = costs.sort_values("regret", ascending=False).itertuples()
     for row in rows:
         of_weight = varied[varied.weight_name == row.Index]
-        facts = wrong | {"paid": paid_on_average(of_weight)}
+        facts = wrong | {"paid": paid_on_average(of_weight, pairs_of(of_weight))}
         size, low, high = 100 * np.array([row.regret, row.regret_low, row.regret_high])
         kind = WeightVerdict.COSTS
         if 0 < row.regret_needed < math.inf:
@@ -205,11 +206,16 @@ def _range(settings: SensitivitySettings) -> dict[str, float]:
     return {"low": low, "high": high}
 
 
-def paid_on_average(rows: pd.DataFrame) -> str:
-    """Return the mean of what a user pays more, in words: that of which the interval excludes 0."""
+def paid_on_average(rows: pd.DataFrame, clusters: Clusters) -> str:
+    """Return the mean of what a user pays more, in words: that of which the interval excludes 0.
+
+    Args:
+      rows: the columns of `PAID_WORDS`, as far as they are known.
+      clusters: draws of the rows.
+    """
     words = []
-    clusters = pairs_of(rows)
-    known = {name: unit for name, unit in PAID_WORDS.items() if rows[name].notna().any()}
+    has_any = rows.notna().any()
+    known = {name: unit for name, unit in PAID_WORDS.items() if has_any.get(name, False)}
     for name, unit in known.items():
         size, low, high = clusters.interval(rows[name])
         if low > 0 or high < 0:
