@@ -1,5 +1,8 @@
 """jaxurban compare, of maps with others."""
 
+import shlex
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,7 @@ from jaxurban.terminal.common import (
     SHOWN,
     finite_records,
     log_lines,
+    number_or_file,
     print_json,
     report_places,
     run_study,
@@ -32,9 +36,10 @@ from jaxurban.terminal.options import command
 @RESOLUTION
 @SHOWN(
     "--routes",
-    type=COUNT,
-    default=0,
-    help="Pairs of places whose route on A, at each altitude, is judged on B.",
+    metavar="NUMBER|FILE",
+    callback=partial(number_or_file, COUNT),
+    default="0",
+    help="Pairs of places whose route on A, at each altitude, is judged on B: how many, or a table (.csv, .parquet).",
 )
 @SEED
 @OVERWRITE
@@ -47,6 +52,7 @@ def compare_command(
     resolution_m: float | None,
     overwrite: bool,
     as_json: bool,
+    routes: int | Path,
     **options: Any,
 ) -> None:
     """Report how the maps in DIR_B differ from DIR_A's.
@@ -56,10 +62,15 @@ def compare_command(
 
     # All options that are not named above are arguments of the comparison, which is imported when it runs.
     def study(progress: Any) -> Any:
+        from jaxurban.io.tables import read_table
         from jaxurban.paths.rows import MapsFolder
 
         a, b = MapsFolder(folder_a, resolution_m), MapsFolder(folder_b, resolution_m)
-        return jaxurban.studies.compare(a, b, progress=progress, **options)
+        asked: Any = routes
+        if isinstance(routes, Path):
+            asked = read_table(routes, "routes")
+        result = jaxurban.studies.compare(a, b, routes=asked, progress=progress, **options)
+        return replace(result, routes_file=shlex.quote(f"{output / 'tables' / 'routes.csv'}"))
 
     result = run_study("compare", output, study, overwrite)
     log_lines(result.decided.facts)

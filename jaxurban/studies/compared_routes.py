@@ -13,11 +13,14 @@ from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import cost_map
-from jaxurban.paths.profile import cut_on, profile_of, without_fix
-from jaxurban.paths.queries import IN_METRES
+from jaxurban.paths.queries import IN_METRES, LONLAT, read_queries
 from jaxurban.progress import Report
 from jaxurban.studies.baseline import MEASURES, SHORTEST
-from jaxurban.studies.montecarlo.sampling import sample_joined
+from jaxurban.studies.montecarlo.sampling import (
+    check_instances,
+    instances_of_queries,
+    sample_joined,
+)
 from jaxurban.studies.weights.paid import paid_on
 
 SAME = 1e-4  # share of the cost: a route that costs no more above the cheapest one is as good
@@ -34,19 +37,19 @@ JUDGED = [
 def compared_routes(
     a: MetricMaps,
     b: MetricMaps,
-    num: int,
+    routes: int | pd.DataFrame,
     seed: int,
     times: tuple[str | None, str | None],
     report: Report,
 ) -> pd.DataFrame:
     """Return a row for each route that is planned on map A and judged on map B.
 
-    The pairs of places are those of studies (`sample_joined`): a path on A joins them at every altitude.
+    The pairs of places that are drawn are those of studies (`sample_joined`): a path on A joins them at every altitude.
 
     Args:
       a, b: the maps, cut to what both hold (`jaxurban.maps.shared.shared_part`); both with the scenario's settings of A
         (`MetricMaps.recorded`), under which all routes are planned.
-      num: pairs, the same at each altitude.
+      routes: how many pairs are drawn, the same at each altitude; or a table of ends and altitudes.
       seed: of the pairs.
       times: of A and of B; None: the first one.
       report: called with stage, done and total.
@@ -63,11 +66,10 @@ def compared_routes(
       `SHORTEST` of the shortest route on A, that of distance alone. What is not known is NaN.
 
     Raises:
-      InputError: too few pairs that a path joins on A, or the scenario asks what B does not hold.
+      InputError: a wrong table, too few pairs that a path joins on A, or the scenario asks what B does not hold.
       KeyboardInterrupt: Ctrl-C.
     """
-    drawn = sample_joined(a, num, seed=seed).rename(columns={"instance": "pair"})
-    table = drawn[["pair", "altitude_m", *IN_METRES]]
+    table = _pairs(a, routes, seed)[["pair", "altitude_m", *IN_METRES]]
     queries = table.drop(columns="pair")
     # By the exact search of the grid, whatever the scenario plans with, so that no other route costs less.
     plan_all = partial(plan_many, planner="astar", budget_s=np.inf, progress=report)
@@ -107,6 +109,17 @@ def compared_routes(
         regret=regret,
         is_changed=is_changed.where(judged.is_closed.notna()).astype(float),
     )
+
+
+def _pairs(maps: MetricMaps, routes: int | pd.DataFrame, seed: int) -> pd.DataFrame:
+    """Return instances with the number of their ``pair`` of places, drawn or those of a table."""
+    if isinstance(routes, int):
+        return sample_joined(maps, routes, seed=seed).rename(columns={"instance": "pair"})
+    places = IN_METRES if IN_METRES[0] in routes else LONLAT
+    queries = read_queries(routes.filter([*places, "altitude_m"]), metrics=maps.metrics)
+    instances = instances_of_queries(maps, queries)
+    check_instances(instances, maps)
+    return instances.assign(pair=instances.groupby([*IN_METRES], sort=False).ngroup())
 
 
 def _judge(on_map: CostMap) -> Callable[[PlannedPath | None], dict[str, float]]:

@@ -76,6 +76,7 @@ class MapComparison(StudyResult):
         and in A alone, which neither mean nor rms counts. Of ``obstacle`` and of layers without altitudes the cells are
         all with data in both.
       routes: a row for each route of A on B (`compared_routes`); empty where none were asked for.
+      routes_file: where these are written; empty where that is not known.
 
     Examples:
       >>> higher_mask = ju.build_maps(city, resolution_m=20.0, altitudes_m=(60.0,), gps=ju.Gps(mask_deg=30.0))
@@ -96,6 +97,7 @@ class MapComparison(StudyResult):
     settings: Differing = field(default_factory=dict)
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
     routes: pd.DataFrame = field(default_factory=pd.DataFrame)
+    routes_file: str = ""
 
     @property
     def layers(self) -> tuple[str, ...]:
@@ -155,7 +157,8 @@ class MapComparison(StudyResult):
             view = f"jaxurban view {b} {which}"
             wider = f'jaxurban maps {a} {b} -o {b}_wider --set "region.bounds={bounds}" && jaxurban compare '
             wider += " ".join(f"{b}_wider/{shlex.quote(Path(name).name)}" for name in self.names)
-            wider += f" {which} --routes {USUAL_ROUTES} -o {b}_wider_routes"
+            same = self.routes_file or self.routes.get("pair", pd.Series()).nunique()
+            wider += f" {which} --routes {same} -o {b}_wider_routes"
         command = more if self.routes.empty else view
         done = command.replace("{needed}", str(USUAL_ROUTES))
         num = 0 if self.routes.empty else self.routes.pair.nunique()
@@ -236,7 +239,7 @@ def compare(
     maps_a: MapsLike | MapsFolder,
     maps_b: MapsLike | MapsFolder,
     *,
-    routes: int = 0,
+    routes: int | pd.DataFrame = 0,
     seed: int = 0,
     progress: Progress = True,
 ) -> MapComparison:
@@ -247,8 +250,9 @@ def compare(
     Args:
       maps_a, maps_b: from `build_maps` or `open_maps`, or folders of one resolution's maps; a `MapsFolder` where a
         folder holds several, or planners are to keep another rule of obstacles.
-      routes: pairs of places that a path on A joins at every altitude, as studies draw them; the cheapest route on A
-        is judged on B (`MapComparison.routes`), by A's weights, cost model and constraints, at the first time.
+      routes: pairs of places that a path on A joins at every altitude, as studies draw them; or a table with their ends
+        and ``altitude_m``, as of another comparison; the cheapest route on A is judged on B (`MapComparison.routes`),
+        by A's weights, cost model and constraints, at the first time.
       seed: of these places.
       progress: True for a bar (off a terminal, lines in the log), False for none, or a function (stage, done, total).
 
@@ -273,7 +277,8 @@ def compare(
       (20, 0.0)
     """
     # The arguments, and the part that both maps hold, for routes under the settings of A's scenario.
-    at_least("routes", routes)
+    if isinstance(routes, int):
+        at_least("routes", routes)
     at_least("seed", seed)
     a = _opened(maps_a)
     b = _opened(maps_b)
@@ -301,7 +306,7 @@ def compare(
         table = table.rename(columns={ALTITUDE: "altitude_m"}).reindex(columns=COLUMNS)
         table["time"] = table["time"].map(iso_utc, na_action="ignore")
         judged = result.routes
-        if routes:
+        if not isinstance(routes, int) or routes:
             times = next(iter(paired_times(part_a, part_b).items()), (None, None))
             judged = compared_routes(part_a, part_b, routes, seed, times, report)
     return replace(result, table=table, routes=judged)

@@ -1,5 +1,6 @@
 """jaxurban sensitivity, of one route or of many, in one or several cities."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,6 @@ import click
 from jaxurban.progress import LOG
 from jaxurban.studies.weights.settings import SensitivitySettings
 from jaxurban.terminal.common import (
-    GIVEN,
     JSON_FLAG,
     MAPS_PATH,
     OVERWRITE,
@@ -26,6 +26,7 @@ from jaxurban.terminal.common import (
     all_cores,
     finite_records,
     log_lines,
+    number_or_file,
     outcome_of,
     print_json,
 )
@@ -41,15 +42,6 @@ OF_STUDY = (
 )
 
 
-def routes_in(ctx: click.Context, param: click.Parameter, text: str | None) -> int | Path | None:
-    """Return the number of routes to draw, or the file that holds them."""
-    if text is None:
-        return None
-    kind: click.ParamType = POSITIVE_COUNT if text.isdecimal() else GIVEN
-    value: int | Path = kind.convert(text, param, ctx)
-    return value
-
-
 @command()
 @click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=MAPS_PATH, is_eager=True)
 @PLACE("--start", required=False, help="Start of one route: longitude,latitude in degrees.")
@@ -57,7 +49,7 @@ def routes_in(ctx: click.Context, param: click.Parameter, text: str | None) -> i
 @click.option(
     "--routes",
     metavar="NUMBER|FILE",
-    callback=routes_in,
+    callback=partial(number_or_file, POSITIVE_COUNT),
     help="Instead of one route: how many to draw in each DIR, or a table of routes (.csv, .parquet).  [default: 30]",
 )
 @click.option(

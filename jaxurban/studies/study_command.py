@@ -132,7 +132,9 @@ def study_command(
     # Where the queries are those of a file, further ones are drawn, for a study of its own.
     own = shlex.quote(f"{folder}-more" if instances_file else str(folder))
     typed = again("-o", "--instances", "--set study.instances")
-    result = replace(result, again=f"{typed} -o {own}")
+    of_sampling = (f"--set {name}" for name in fixed)
+    wider = f"{again('-o', '--instances', *of_sampling)} -o {shlex.quote(f'{folder}-wider')}"
+    result = replace(result, again=f"{typed} -o {own}", wider=wider)
     report_file = result.save(analysis)[-1]
     log_lines(result.decided.facts)
     LOG.info(f"study finished: read {report_file}")

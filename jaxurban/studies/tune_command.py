@@ -117,6 +117,7 @@ def tune_command(
             f"--fit {', '.join(sorted(beside))} belongs to fits without --wish: leave it out"
         )
 
+    from jaxurban.io.tables import INSTANCES_FILE
     from jaxurban.metrics.weights import Weights
     from jaxurban.paths.rows import MapsFolder
     from jaxurban.studies.reports.tuning import TuneSettings, run_tuning
@@ -154,7 +155,10 @@ def tune_command(
         wider = (
             f'jaxurban maps {shlex.join([maps, "-o", place])} --set "region.bounds={{bounds}}" && '
         )
-        wider += f"{again('-o', *map(str, words))} {shlex.join([place, *files_on_maps])} -o {output}-wider"
+        if sample:  # the pairs that were drawn
+            files_on_maps = [str(output / INSTANCES_FILE)]
+        same = shlex.join([place, *files_on_maps])
+        wider += f"{again('-o', '--sample', *map(str, words))} {same} -o {output}-wider"
     commands = FitCommands(tested, more, str(output), sample, wider)
     settings = TuneSettings(
         routes=values_given(routes),

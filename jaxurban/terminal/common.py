@@ -461,8 +461,20 @@ def again(*dropped: str) -> str:
     line = shlex.join(["jaxurban", command, *kept])
     for option in dropped:
         if option.startswith("-"):
-            line = re.sub(f" {re.escape(option)}{VALUE}(?= |$)", "", line)
+            quoted = re.escape(option).replace(r"\ ", " '") + "=[^']*'"
+            line = re.sub(f" (?:{re.escape(option)}{VALUE}|{quoted})(?= |$)", "", line)
     return line
+
+
+def number_or_file(
+    number: click.ParamType, ctx: click.Context, param: click.Parameter, text: str | None
+) -> int | Path | None:
+    """Return what an option names: a number, or a file that is there."""
+    if text is None:
+        return None
+    kind = number if text.isdecimal() else GIVEN
+    value: int | Path = kind.convert(text, param, ctx)
+    return value
 
 
 def report_places(output: Path) -> Settings:

@@ -133,7 +133,7 @@ def test_planners_are_ranked_by_cost_where_both_found_a_path_and_by_the_pairs_th
     assert solved.loc[(CHEAP, LINE)].size == 5
     assert solved.loc[(CHEAP, LINE), "size"] == pytest.approx(100 * 6 / 11)
     place = dict.fromkeys(IN_METRES, 5.0) | {"altitude_m": 20.0, "instance": 1, "w_distance": 0.1}
-    given = pd.DataFrame([place]), made_maps(10, 10), "jaxurban study city.toml -o DIR"
+    given = pd.DataFrame([place]), made_maps(10, 10), "jaxurban study city.toml -o DIR", "WIDER"
     decided = analysis.conclusion(table.assign(at_edge=0.0), *given)
     assert decided.facts["next"].startswith(
         "jaxurban study city.toml -o DIR --set study.instances="
@@ -159,13 +159,13 @@ def test_of_one_planner_there_is_nothing_to_compare(table):
     ]
     is_alone = (table.planner == CHEAP) & (table.objective == "weighted")
     alone = table[is_alone].assign(at_edge=0.0)
-    given = pd.DataFrame(places), maps, ""
+    given = pd.DataFrame(places), maps, "", ""
     lines = analysis.conclusion(alone, *given).facts
     assert lines["not decided"] == (f"there is nothing to compare, as {CHEAP} is the only planner.")
     assert lines["next"].startswith("jaxurban plan ")
     assert "--weights distance=0.1,gps=2," in lines["next"]
     first, second = (
-        analysis.conclusion(alone, pd.DataFrame([place]), maps, "").facts["next"]
+        analysis.conclusion(alone, pd.DataFrame([place]), maps, "", "").facts["next"]
         for place in places
     )
     assert lines["next"] == second != first

@@ -267,7 +267,7 @@ def beside_baseline(table: pd.DataFrame, instances: pd.DataFrame) -> list[Verdic
 
 
 def conclusion(
-    table: pd.DataFrame, instances: pd.DataFrame, maps: MetricMaps, again: str
+    table: pd.DataFrame, instances: pd.DataFrame, maps: MetricMaps, again: str, wider: str
 ) -> Conclusion:
     """Return what a benchmark decided: the planners' ranks, and how many routes the border may have made.
 
@@ -276,6 +276,7 @@ def conclusion(
       instances: of the benchmark.
       maps: of the benchmark.
       again: command of the same benchmark, which ends in its folder; empty: that of the maps' scenario.
+      wider: command of a benchmark of the same instances, over maps whose bounds are still to be named.
     """
     verdicts: list[Verdict] = []
     rankings_of = rankings(table)
@@ -299,13 +300,12 @@ def conclusion(
     )
     weights = weights_option(Weights(**of_first.astype(float)))
     ends = ends_option(maps.grid, first[[*IN_METRES]].to_numpy(float).reshape(2, 2))
-    num = table.instance.nunique()
     bounds = wider_bounds(maps)
     more = "--set study.instances="
     return concluded(
         verdicts,
         more=f"{again} {more}{{needed}}",
-        wider=bounds and f'{again}-wider {more}{num} --set "region.bounds={bounds}"',
+        wider=bounds and f'{wider} --set "region.bounds={bounds}"',
         done=f"jaxurban plan {folder} {ends} --altitude {first.altitude_m:g} --planner {planner} --weights {weights}",
-        ran=num,
+        ran=table.instance.nunique(),
     )

@@ -1,5 +1,6 @@
 """study: a Monte Carlo benchmark of planners over metric maps, kept in a folder and resumable."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -48,6 +49,7 @@ class BenchmarkResult(StudyResult):
       rows: what each planner found, one row per planner, objective, instance and altitude.
       settings: how they were run.
       again: command that ran it, which ends in its folder; empty where none did.
+      wider: command that runs it on other maps, without instances; empty where none ran it.
 
     Examples:
       >>> chosen = ju.studies.Study(planners="astar-plus", distance_only=(), altitudes_m=[60.0])
@@ -65,6 +67,7 @@ class BenchmarkResult(StudyResult):
     rows: pd.DataFrame
     settings: Benchmark
     again: str = ""
+    wider: str = ""
 
     @property
     def facts(self) -> dict[str, str]:
@@ -77,7 +80,10 @@ class BenchmarkResult(StudyResult):
     @cached_property
     def decided(self) -> Conclusion:
         """Which planners are cheaper and find more paths, which cannot be told apart, and what to run next."""
-        return analysis.conclusion(self.table, self.instances, self.maps, self.again)
+        folder = self.maps.folder or "SCENARIO"
+        wider = self.wider or f"jaxurban study {folder} -o {self.folder}-wider"
+        wider += f" --instances {shlex.quote(str(self.folder / INSTANCES_FILE))}"
+        return analysis.conclusion(self.table, self.instances, self.maps, self.again, wider)
 
     @property
     def table(self) -> pd.DataFrame:

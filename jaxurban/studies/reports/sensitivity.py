@@ -19,6 +19,7 @@ from jaxurban.draw.write import (
     framed,
     joined_with_and,
 )
+from jaxurban.io.tables import INSTANCES_FILE
 from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.queries import IN_METRES
@@ -156,38 +157,52 @@ class Sensitivity(StudyResult):
         altitudes = ",".join(f"{z:g}" for z in sorted(self.instances.altitude_m.unique()))
         low, high = self.settings.factors
         first = next(iter(self.maps.values()))
-        options = f"--resolution {first.grid.resolution_m:g} --altitude {altitudes} --range {low:g},{high:g} "
+        options = f"--resolution {first.grid.resolution_m:g} --range {low:g},{high:g} "
         options += f"--preset {self.rules.preset} " * bool(self.rules.preset)
         if self.settings.vary:
             options += f"--vary {','.join(self.settings.vary)} "
+        if self.rules.snap:
+            options += "--snap "
+        under = f"--altitude {altitudes} "  # what a table of routes names itself
         weights = shared_weights(self.instances)
         if weights is not None:
             metrics = dict.fromkeys(chain(*(maps.metrics for maps in self.maps.values())))
-            options += f"--weights {weights_option(weights, metrics)} "
-        if self.rules.snap:
-            options += "--snap "
-        options += f"-o {self.folder or 'out/sensitivity'}"
-        command = f"jaxurban sensitivity {folders} {options}-more --routes"
+            under += f"--weights {weights_option(weights, metrics)} "
+        place = f"-o {self.folder or 'out/sensitivity'}"
+        command = f"jaxurban sensitivity {folders} {options}{under}{place}-more --routes"
         others = f"{command} {MORE_ROUTES}"
-
-        # The same over maps of wider bounds: of one route its ends, of many as many.
-        place = f"{first.folder or 'DIR'}-wider"
-        bounds = wider_bounds(first)
-        again = f"--routes {self.instances.instance.nunique()}"
-        if self.route:
-            ends_m = self.instances[[*IN_METRES]].to_numpy(float).reshape(2, 2)
-            again = ends_option(first.grid, ends_m)
         if self.is_sampled:  # other routes than these
             others += f" --study seed={self.settings.seed + 1}"
+
+        # The same routes over maps of wider bounds.
+        again = f"{options}{under}{place}-wider --routes {self.instances.instance.nunique()}"
+        if self.route:
+            ends_m = self.instances[[*IN_METRES]].to_numpy(float).reshape(2, 2)
+            again = f"{options}{under}{place}-wider {ends_option(first.grid, ends_m)}"
+        elif self.folder:
+            again = f"{options}{place}-wider --routes {self.folder / INSTANCES_FILE}"
         return concluded(
             verdicts,
             more=command + " {needed}",
             done=others,
-            wider=bounds
-            and f'jaxurban maps {first.folder or "SCENARIO"} -o {place} --set "region.bounds={bounds}"'
-            f" && jaxurban sensitivity {place} {options}-wider {again}",
+            wider=self._on_wider_maps(again),
             factor=1 / len(self.maps),
         )
+
+    def _on_wider_maps(self, options: str) -> str:
+        """Return the commands that make wider maps of each city, called as it is, and study them; empty without any."""
+        commands, folders = [], []
+        for city, maps in self.maps.items():
+            folder = f"{maps.folder or 'DIR'}"
+            bounds = wider_bounds(maps)
+            if bounds:
+                wider = f"{folder}-wider/{city}"
+                commands.append(f'jaxurban maps {folder} -o {wider} --set "region.bounds={bounds}"')
+                folder = wider
+            folders.append(folder)
+        if not commands:
+            return ""
+        return " && ".join([*commands, f"jaxurban sensitivity {' '.join(folders)} {options}"])
 
 
 def sensitivity_report(result: Sensitivity) -> ResultReport:

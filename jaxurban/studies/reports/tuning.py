@@ -24,7 +24,7 @@ from jaxurban.draw.write import (
     save,
 )
 from jaxurban.errors import InputError
-from jaxurban.io.tables import SUFFIXES, fingerprint
+from jaxurban.io.tables import INSTANCES_FILE, SUFFIXES, fingerprint, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.knowledge import names_of
 from jaxurban.metrics.base import ones_said
@@ -107,7 +107,10 @@ def run_tuning(
 
     with reporting("tune") as report:
         report("routes")
-        of_cities = [_routes_on(source, files, settings) for source, files in sources.items()]
+        drawn: list[pd.DataFrame] = []
+        of_cities = [
+            _routes_on(source, files, settings, drawn) for source, files in sources.items()
+        ]
         routes = list(chain.from_iterable(of_cities))
 
         # The output folder, what identifies the fit there, and the files that it may write.
@@ -121,7 +124,7 @@ def run_tuning(
             "pilot": settings.pilot and settings.pilot.to_dict(),
         }
         pictures = [f"figures/{name}.png" for name in ("weights", *_pictures(routes))]
-        names = files_of([*TABLES, VERDICTS, *pictures, REPORT_FILE])
+        names = [INSTANCES_FILE, *files_of([*TABLES, VERDICTS, *pictures, REPORT_FILE])]
         with Workspace.open(folder, "tune", key, names=names, overwrite=overwrite):
             # The fit, to targets or to routes. Fits to routes leave those out that are held out from them.
             report("rounds")
@@ -143,6 +146,8 @@ def run_tuning(
                 for (source, files), num in zip(sources.items(), nums, strict=True)
             ]
             fit = replace(fit, commands=settings.commands, origin=Markdown("; ".join(origins)))
+            if len(drawn) == 1:  # of one city, which a further fit takes again
+                write_table(drawn[0], folder / INSTANCES_FILE)
             save(folder, fit_report(fit).outputs)
     return _facts(fit, folder)
 
@@ -166,7 +171,7 @@ def _origin(source: MapsFolder, files: Sequence[Path], settings: TuneSettings, n
 
 
 def _routes_on(
-    source: MapsFolder, files: Sequence[Path], settings: TuneSettings
+    source: MapsFolder, files: Sequence[Path], settings: TuneSettings, drawn: list[pd.DataFrame]
 ) -> list[Demonstration]:
     """Return the routes on the maps of one folder: those of its files, or the pilot's between sampled places.
 
@@ -176,6 +181,7 @@ def _routes_on(
       source: the folder.
       files: of the routes; none where instances are sampled.
       settings: of the fit.
+      drawn: gets the instances, where these are drawn.
 
     Raises:
       InputError: routes that are of no use on these maps, files beside sampled instances, or no pilot who flies these.
@@ -214,7 +220,9 @@ def _routes_on(
         seed=settings.fit.seed,
         **under,
     )
-    return demonstrations(instances[instances.is_connected], maps, pilot=pilot, **options)
+    joined = instances[instances.is_connected]
+    drawn.append(joined)
+    return demonstrations(joined, maps, pilot=pilot, **options)
 
 
 def fit_report(fit: WeightFit | TargetFit) -> ResultReport:
