@@ -21,7 +21,7 @@ class BaselineVerdict(Enum):
 
     LESS = (
         "routes under these weights have {size} less exposure (what all metrics cost along them) than those of "
-        "distance alone, the baseline ({n}); the difference in what is flown, on average: {paid}"
+        "distance alone, the baseline ({n}); flown more, on average: {paid}"
     )
     LESS_OPEN = (
         "how much less exposure (what all metrics cost along them) routes under these weights have than those of "

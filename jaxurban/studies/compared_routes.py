@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -84,7 +85,8 @@ def compared_routes(
     judges_a = {z_m: _judge(cost_map(a, z_m, time=times[0])) for z_m in a.altitudes_m}
     judges_b = {z_m: _judge(cost_map(b, z_m, time=times[1])) for z_m in b.altitudes_m}
     rows: list[dict[str, float]] = []
-    for altitude_m, path, best, short in zip(table.altitude_m, *plans, strict=True):
+    queries_planned: Any = zip(table.altitude_m, *plans, strict=True)
+    for altitude_m, path, best, short in queries_planned:
         judge_a, judge_b = judges_a[altitude_m], judges_b[altitude_m]
         row = judge_a(path)
         rows.append(row)

@@ -152,7 +152,7 @@ def test_of_one_planner_there_is_nothing_to_compare(table):
         "w_distance": 0.1,
         "w_gps": 2.0,
     }  # that no path joins
-    maps = made_maps(10, 10)
+    maps = made_maps(40, 40)
     places = [
         lost | dict.fromkeys(IN_METRES, 5.0),
         lost | dict.fromkeys(IN_METRES, 15.0) | {"instance": 1},
@@ -169,6 +169,10 @@ def test_of_one_planner_there_is_nothing_to_compare(table):
         for place in places
     )
     assert lines["next"] == second != first
+    at_edge = analysis.conclusion(
+        alone.assign(at_edge=1.0), given[0], maps, "", "wider --instances F"
+    )
+    assert at_edge.next_command.startswith('wider --instances F --set "region.bounds=[')
 
 
 def test_shortest_paths_are_set_against_the_cheapest(table):
@@ -177,6 +181,13 @@ def test_shortest_paths_are_set_against_the_cheapest(table):
     changes = [found[f"{name}_change"] for name in ("cost", "length_m", "m_gps")]
     assert changes == pytest.approx([50, -20, -0.25])  # percent, metres, m
     assert "m_lidar_change" not in found
+    is_shortest = table.objective == "distance"
+    for other, num in (("astar-dist", 1), (DEAR, 0)):  # which A* ran is no matter
+        by_other = table.assign(planner=table.planner.mask(is_shortest, other))
+        of_both = analysis.objectives(by_other).query("planner == @CHEAP").to_dict("records")
+        assert of_both == [found] * num
+    lost = table.assign(has_path=table.has_path & is_shortest)
+    assert analysis.objectives(lost).empty
 
 
 def test_cheapest_paths_are_set_beside_the_baseline_of_distance_alone(table):
@@ -187,7 +198,7 @@ def test_cheapest_paths_are_set_beside_the_baseline_of_distance_alone(table):
     assert (verdict.n, verdict.low, verdict.size) == pytest.approx((10, 600 / 11, 600 / 11))
     assert "have 54.5 % (54.5 to 54.5) less exposure" in verdict.sentence
     assert "distance alone, the baseline (10 instances" in verdict.sentence
-    assert "on average: 20.0 m of way (20.0 to 20.0)" in verdict.sentence
+    assert "flown more, on average: 20.0 m of way (20.0 to 20.0)" in verdict.sentence
     weighted = table[table.objective == "weighted"]
     assert analysis.beside_baseline(weighted, instances) == []
     by_other = table.assign(planner=table.planner.mask(table.objective == "distance", "astar-dist"))

@@ -1,6 +1,7 @@
 """Routes of one map under another: against sums by hand, and against what was built into the maps."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -178,3 +179,25 @@ def test_a_folder_of_other_weights_is_refused_by_the_weights_that_differ(maps, f
     assert "(its weights.gps is 1.0, now 2.0; its weights.risk is 1.0, now 0.5)" in str(
         refused.value
     )
+
+
+def test_a_table_of_routes_gives_the_same_pairs_and_wider_maps_come_next_with_it(maps, found):
+    routes = found.routes.drop(columns=["pair", "status"])
+    again = ju.studies.compare(*maps, routes=routes, progress=False)
+    pd.testing.assert_frame_equal(
+        again.routes.drop(columns="pair"), found.routes.drop(columns="pair")
+    )
+    pairs = [each.routes.pair.drop_duplicates().tolist() for each in (again, found)]
+    assert pairs[0] == list(range(NUM))
+    assert len(pairs[1]) == NUM
+    pinned = found.routes.assign(at_edge=1.0, regret=0.0, is_changed=0.0)
+    named = replace(found, names=("a", "b"), routes=pinned, routes_file="out/tables/routes.csv")
+    assert named.decided.next_command.endswith(
+        " --resolution 10 --routes out/tables/routes.csv -o b_wider_routes"
+    )
+    unwritten = replace(named, routes_file="")
+    assert f" --routes {NUM} -o b_wider_routes" in unwritten.decided.next_command
+    with pytest.raises(ju.InputError, match="altitude"):
+        ju.studies.compare(*maps, routes=routes.drop(columns="altitude_m"), progress=False)
+    with pytest.raises(ju.InputError, match="lack the columns start_lon"):
+        ju.studies.compare(*maps, routes=routes[["altitude_m"]], progress=False)

@@ -381,6 +381,22 @@ def test_routes_on_maps_without_their_sources_are_studied_but_for_drawn_heights(
     assert "maps in memory do not name their sources" in found.skipped[0]
 
 
+def test_wider_maps_come_next_with_the_same_routes_of_each_city(weight_study):
+    rows = weight_study.rows
+    none = dict.fromkeys(rows.filter(regex="^(regret|together|more)").columns, 0.0)
+    none |= dict.fromkeys(rows.filter(regex="^(below|above):").columns, np.nan)
+    pinned = replace(weight_study, rows=rows.assign(**none, at_edge=1.0))
+    *makes, studies = pinned.decided.next_command.split(" && ")
+    folders = []
+    for (city, maps), make in zip(pinned.maps.items(), makes, strict=True):
+        folders.append(f"{maps.folder}-wider/{city}")  # a city is called as its folder
+        assert make.startswith(f"jaxurban maps {maps.folder} -o {folders[-1]} --set ")
+    assert studies.startswith(f"jaxurban sensitivity {' '.join(folders)} --resolution ")
+    assert studies.endswith(f" --routes {pinned.folder / 'instances.parquet'}")
+    assert "--altitude" not in studies  # which the table names
+    assert "--weights" not in studies
+
+
 def test_only_layers_that_differ_at_another_time_of_day_are_named_and_alike_times_are_no_change(
     alpha,
 ):

@@ -185,6 +185,13 @@ def test_sampled_instances_are_flown_by_the_pilot_by_day_and_by_night(tmp_path, 
     assert {*pd.read_csv(tmp_path / "out" / "examples.csv")["time_of_day"]} == {"day", "night"}
     assert "6 instances sampled with seed 1" in (tmp_path / "out" / "report.md").read_text()
 
+    # The pairs that were drawn are taken again as they are.
+    drawn = tmp_path / "out" / "instances.parquet"
+    again = facts_of(capsys, tmp_path / "maps", drawn, "-o", tmp_path / "again", *options[2:])
+    first = pd.read_csv(tmp_path / "out" / "examples.csv")
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "again" / "examples.csv"), first)
+    assert again["num_plans"] > 0
+
 
 @pytest.mark.slow
 def test_the_instances_of_a_study_are_fitted_and_their_ends_take_a_wish(tmp_path, capsys):

@@ -154,16 +154,25 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
 
     Distance-only runs are compared with weighted runs of the same planner: ``cost_change`` in percent,
     ``length_m_change`` in metres and ``m_NAME_change`` are means of distance-only less weighted, each with its 95 %
-    interval over instances. The table is empty where no planner ran both ways.
+    interval over instances. Exact planners of the grid (`EXACT_PLANNERS`) may take each other's shortest paths. The
+    table is empty where no planner found paths both ways.
 
     Args:
       table: from `with_instances`.
     """
-    # The planners that ran under both objectives, and the pairs of places that they solved under both, by altitude.
+    # Of each planner its pairs of places that were solved under both objectives, by altitude.
     result = []
-    both_ways = set(table[table.objective == DISTANCE].planner) & set(weighted_rows(table).planner)
-    for planner in sorted(both_ways):
-        rows = table[(table.planner == planner) & table.has_path].set_index([*KEY, "objective"])
+    of_distance = {*table[table.objective == DISTANCE].planner}
+    for planner in sorted({*weighted_rows(table).planner}):
+        shortest = {planner} & of_distance
+        if planner in EXACT_PLANNERS and not shortest:
+            shortest = {*sorted(of_distance & {*EXACT_PLANNERS})[:1]}
+        is_weighted = (table.planner == planner) & (table.objective == WEIGHTED)
+        is_shortest = table.planner.isin(shortest) & (table.objective == DISTANCE)
+        paths = table[(is_weighted | is_shortest) & table.has_path]
+        if {*paths.objective} != {WEIGHTED, DISTANCE}:
+            continue
+        rows = paths.set_index([*KEY, "objective"])
         wide = rows[["cost", *fact_columns(rows)]].unstack("objective")
         for altitude_m, runs in wide.groupby(level="altitude_m"):
             has_both = runs["cost"].notna().all(axis=1) & (runs["cost"] > 0).all(axis=1)

@@ -257,7 +257,9 @@ def study_key(
     for city, of_city in instances.groupby("city"):
         shared = shared_weights(of_city)
         if shared is not None:
-            weights |= {name: shared[name] for name in ("distance", *maps[str(city)].metrics)}
+            weights |= {
+                name: float(shared[name]) for name in ("distance", *maps[str(city)].metrics)
+            }
     plain = instances.drop(columns="is_connected").sort_values(list(ROUTE_KEY))
     return job.to_dict() | {
         "maps": {city: each.identity for city, each in maps.items()},
