@@ -23,10 +23,6 @@ class BaselineVerdict(Enum):
         "routes under these weights have {size} less exposure (what all metrics cost along them) than those of "
         "distance alone, the baseline ({n}); flown more, on average: {paid}"
     )
-    LESS_OPEN = (
-        "how much less exposure (what all metrics cost along them) routes under these weights have than those of "
-        "distance alone, the baseline, is open: {size} ({n})"
-    )
 
 
 def baseline_verdicts(
@@ -53,8 +49,7 @@ def baseline_verdicts(
     known = [name for name in AMOUNTS if name in routes]
     more = {f"more_{name}": routes[name] - routes[SHORTEST + name] for name in known}
     facts = {"paid": paid_on_average(pd.DataFrame(more), clusters)}
-    kind = BaselineVerdict.LESS_OPEN if needed else BaselineVerdict.LESS
-    yield Verdict(kind, (), size, low, high, int(num), "%", noun, needed, facts)
+    yield Verdict(BaselineVerdict.LESS, (), size, low, high, int(num), "%", noun, needed, facts)
 
 
 def baseline_said(decided: Conclusion) -> str:
