@@ -8,12 +8,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import jax
 import osmium
 import pytest
 from shapely import box
 
 from jaxurban import checks
+from jaxurban.terminal.common import again
+from jaxurban.terminal.options import TYPED
 from tests.cli_runs import ENDS, assert_one_sentence, outlines, run
 
 NEAR = (-74.0, 40.755, -73.999, 40.756)  # a part of the town
@@ -225,3 +228,11 @@ def test_a_damaged_extract_without_bounds_is_refused_in_a_sentence(capsys, tmp_p
         code, _, err = run(capsys, "info", tmp_path / name)
         assert code == 2
         assert_one_sentence(err, name, "is a web page: fetch the file again")
+
+
+def test_a_command_that_runs_again_leaves_out_settings_that_a_shell_quotes():
+    typed = ["--set", "study.weights=[{gps=2.0}]", "--set", "region.resolution_m=[15]", "-o", "a b"]
+    with click.Context(click.Command("study")) as context:
+        context.meta[TYPED] = ["study", "town", *typed]
+        said = again("-o", "--set study.weights", "--set study.instances")
+    assert said == "jaxurban study town --set 'region.resolution_m=[15]'"

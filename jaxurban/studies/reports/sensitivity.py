@@ -311,7 +311,7 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     if "changed_summary" in tables:
         changed = tables["changed_summary"]
         statistics = interval_columns("is_other", "overlap", "nominal_regret", "nominal_is_closed")
-        columns = ["change", "layers", "of", "routes", "draws", *statistics]
+        columns = ["change", "of", "routes", "draws", *statistics, "layers"]
         result["changed"] = changed.loc[changed.cut.isin([ALL, "city"]), columns]
     if "ways" in tables:
         ways = tables["ways"].rename(columns={"weight_name": "weight"})
