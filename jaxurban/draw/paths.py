@@ -224,7 +224,7 @@ def plot_paths(
     facts = frame_note(maps, None if has_times else times.pop())
     rules = rules_said(*(each.path.settings for each in drawn))
     of_cost = ""
-    if drawn and not shared_weights(planned):
+    if drawn and not one_weighting(planned):
         of_cost = "cost: that of all weights 1, as those of the routes differ"
     note = joined(facts, rules, of_cost, grid_said(drawn), by="\n")
 
@@ -329,11 +329,11 @@ def _cost_panel(
     if len(named) > MOST_LISTED:
         foot = batch_line([each.path for each in named])
     is_closed = closed_at(maps, place, [each.path for each in named])
-    layers = cost_layers(maps, *place, shared_weights([each.path for each in named]))
+    layers = cost_layers(maps, *place, one_weighting([each.path for each in named]))
     return MapPanel(title, layers, foot, is_closed=is_closed)
 
 
-def shared_weights(paths: Sequence[PlannedPath]) -> dict[str, float]:
+def one_weighting(paths: Sequence[PlannedPath]) -> dict[str, float]:
     """Return the weights under which all of some paths were planned; none where these differ, or without paths."""
     named = [path.settings["weights"] for path in paths]
     return dict(named[0]) if named and all(each == named[0] for each in named) else {}
@@ -599,7 +599,7 @@ def plot_overview(
 
     # The cost. It is the last layer of its panel, which has the colour bar, as obstacles have none of their own.
     what = " and paths" if drawn else ""
-    cost, obstacles = cost_layers(maps, *place, shared_weights(drawn))
+    cost, obstacles = cost_layers(maps, *place, one_weighting(drawn))
     title = joined(f"Cost{what}", time_of_day)
     is_closed = closed_at(maps, place, drawn)
     panels.append(MapPanel(title, [obstacles, cost], is_closed=is_closed))

@@ -9,7 +9,6 @@ import pandas as pd
 import shapely
 
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.gps import FIX
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
@@ -60,7 +59,6 @@ def compared_routes(
       ``cost`` is the route's cost on A, ``cost_there`` its cost on B (NaN where it is closed there), ``best_there`` the
       cost of B's own route, and ``regret`` is cost_there / best_there - 1. ``is_closed`` is 1 where it crosses cells
       that are closed on B or comes too near one, and ``is_changed`` where it is closed or its regret is above `SAME`.
-      ``no_fix_m`` and ``no_fix_there_m`` are its lengths without a position fix on A and on B, as of `explain`.
       ``apart_m`` is how far it and B's own route are apart at most, and ``at_edge`` is 1 where it runs along the border
       of the data. ``length_m``, ``no_fix_m`` and ``people_below`` are what a user pays (`paid_on`), ``exposure`` is the
       cost without that of the length, all on A; with `THERE` of A's route on B, with `BEST` of B's own, and with

@@ -48,14 +48,6 @@ def test_a_fit_names_the_pilot_of_planned_routes_and_none_of_lines(small, unit):
         assert fit_weights(routes, bootstrap=0, settings=QUICK).pilots == pilots
 
 
-@pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_a_pilot_who_weighs_nothing_of_the_fit_stands_beside_no_weight(unit):
-    routes = optimal_demonstrations(made_queries(unit, 4, seed=9), WITHOUT_LIDAR)
-    nothing = ju.Weights(**dict.fromkeys(ju.Weights().to_dict(), 0.0))
-    routes = [replace(each, pilot=nothing) for each in routes]
-    assert fit_weights(routes, bootstrap=0, settings=QUICK).table.pilot.isna().all()
-
-
 def ends_of(maps) -> list[tuple[float, float]]:
     free = np.argwhere(maps.is_free(20.0))
     return [tuple(map(float, maps.grid.lonlat_of_cell(*cell))) for cell in (free[40], free[-40])]

@@ -31,7 +31,7 @@ from jaxurban.draw.paths import (
     cost_layers,
     draw_ends,
     draw_lines,
-    shared_weights,
+    one_weighting,
 )
 from jaxurban.draw.style import (
     INK,
@@ -96,7 +96,7 @@ def plot_breakpoint_routes(route: OneRoute, **form: Unpack[Form]) -> Figure:
     z = path.altitude_m
     day = settings["time_of_day"]
     place = CostChoice(z, settings["time"], day)
-    layers = cost_layers(maps, *place, shared_weights([path]))
+    layers = cost_layers(maps, *place, one_weighting([path]))
     is_closed = closed_at(maps, place, [path])
     panels_of = []
     for name, line in route.lines.items():

@@ -119,8 +119,6 @@ def _by_altitude(routes: pd.DataFrame) -> pd.DataFrame:
             "regret %_high": regret["high"],
             "median %": 100 * each.regret.median(),
             "length_m": each.length_m.mean(),
-            "no_fix_m": each.no_fix_m.mean(),
-            "no_fix_there_m": each.no_fix_there_m.mean(),
             "apart_m": each.apart_m.max(),
         }
         rows.append(row)

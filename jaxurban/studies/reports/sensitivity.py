@@ -22,13 +22,14 @@ from jaxurban.draw.write import (
 from jaxurban.io.tables import INSTANCES_FILE
 from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.shared import population_norms
 from jaxurban.paths.queries import IN_METRES
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
 from jaxurban.statistics.conclusions import VERDICTS, Conclusion, Verdict, concluded
 from jaxurban.studies.decided import FEWEST_RUNS, wider_bounds
 from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes, plot_regret
-from jaxurban.studies.queries import ends_option, population_norms, weights_option
+from jaxurban.studies.queries import ends_option, weights_option
 from jaxurban.studies.results import SHARES, StudyResult, with_units
 from jaxurban.studies.weights import summary
 from jaxurban.studies.weights.cities import shared_weights, study_key
