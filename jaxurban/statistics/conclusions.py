@@ -98,6 +98,9 @@ class Verdict:
         sentence = self.finding
         if self.is_decided or math.isnan(self.needed):
             return sentence
+        if math.isinf(self.needed) and self.kind is SharedVerdict.EQUAL:
+            most = 100 * (1 - (1 - LEVEL) ** (1 / self.n))
+            return f"{sentence}; of all such {self.noun} at most {most:.0f} % differ"
         if math.isinf(self.needed):
             return f"{sentence}; no number of {self.noun} would change that"
         if math.isnan(self.low) and self.needed <= FEWEST_GROUPS:
