@@ -243,6 +243,24 @@ def test_px4_takes_0_0_for_a_place_and_the_note_says_so(tmp_path, command):
         assert result.state == "clean"
 
 
+@pytest.mark.parametrize(
+    ("item", "is_refused"),
+    [
+        ((WAYPOINT, 10, (300, 300), 30.0, HOVER), True),
+        ((TURNS, 3, (300, 300), 30.0, (1, 0, 0, 0)), True),
+        ((WAYPOINT, 3, (300, 300), 30.0, HOVER), False),
+    ],
+)
+def test_what_px4_refuses_is_named_where_it_may_fly_the_mission(tmp_path, item, is_refused):
+    scene = world((300.0, 500.0, 5.0, 5.0))
+    text = wpl(scene, up(), item)
+    for autopilot, is_asked in ((None, True), ("px4", True), ("ardupilot", False)):
+        notes = checked(scene, tmp_path, text, "m.waypoints", autopilot=autopilot).notes
+        assert any("PX4 refuses the mission for items 2:" in each for each in notes) == (
+            is_refused and is_asked
+        )
+
+
 def test_returns_are_named_for_both_and_the_worst_is_in_the_table(tmp_path):
     scene = world((100.0, 350.0, 10.0, 50.0))
     text = wpl(scene, up((100, 450), 60.0), to(300, 300, 60.0), down(300, 300))

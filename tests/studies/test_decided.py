@@ -65,7 +65,9 @@ def test_what_is_equal_is_one_and_what_is_worse_is_behind_and_ties_share_a_rank(
     assert {*tied.what} == {"bad", "worse"}
     assert NUM < tied.needed < math.inf
     assert (equal.what, equal.size, equal.needed) == (("good", "twin"), 0.0, math.inf)
-    most = 100 * (1 - 0.05 ** (1 / equal.n))  # by which none of so many differs once in twenty times
+    most = 100 * (
+        1 - 0.05 ** (1 / equal.n)
+    )  # by which none of so many differs once in twenty times
     assert equal.sentence.endswith(f"; of all such routes at most {most:.0f} % differ")
 
 

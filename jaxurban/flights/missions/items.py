@@ -12,7 +12,9 @@ from jaxurban.flights.missions.flight import (
     FRAMES,
     HAS_HEIGHT,
     JUMP,
+    LOITER_TURNS,
     PLACED,
+    SPLINE,
     WAYPOINT,
     FlownItems,
     Item,
@@ -41,6 +43,11 @@ from jaxurban.public import listed
 ZERO_PLACE = (
     "PX4 takes 0, 0 for a place, and refuses the mission or flies there; here items that have it ({}) stay where the "
     "vehicle is."
+)
+# mavlink_mission.cpp of PX4 (parse_mavlink_mission_item): neither these frames nor these commands are accepted.
+REFUSED = (
+    "PX4 refuses the mission for items {}: it takes no height above the terrain (frames 10 and 11), no circle of so "
+    "many turns (18) and no spline (82)."
 )
 HEADER = "QGC WPL 110"
 OF_PARROT = "QGC WPL 120"  # with the same columns
@@ -254,11 +261,13 @@ def mission_of(
     planned_m_s = speed_m_s if speed_m_s > 0 else None
     placed = [item for item in items if item.command in PLACED]
     zeros = [str(item.number) for item in placed if (item.lon, item.lat) == (0, 0)]
+    refused = [str(item.number) for item in items if _is_refused(item)]
     missions = []
     for flyer in flyers(autopilot):
         flown = FlownItems(items, start[0], return_altitude_m, flyer)
-        if zeros and autopilot in ("px4", "unknown"):
-            flown.notes.append(ZERO_PLACE.format(listed(zeros)))
+        if autopilot in ("px4", "unknown"):
+            said = {ZERO_PLACE: zeros, REFUSED: refused}
+            flown.notes += [text.format(listed(named)) for text, named in said.items() if named]
         sentences = first_sentences([*flown.not_judged, *notes])
         if not flown.legs and not sentences:
             raise InputError(f"{name!r} leads nowhere: give a mission that has waypoints")
@@ -278,6 +287,12 @@ def mission_of(
     first, last = missions[0], missions[-1]
     is_one_way = (first.legs, first.not_judged) == (last.legs, last.not_judged)
     return first if is_one_way else replace(first, other=last)
+
+
+def _is_refused(item: Item) -> bool:
+    """Return whether PX4 refuses a mission with an item, by its frame or its command."""
+    is_over_terrain = item.datum == "ground" and not item.is_straight
+    return is_over_terrain or item.command in (LOITER_TURNS, SPLINE)
 
 
 def _check_jumps(items: Sequence[Item], what: str) -> None:
