@@ -68,6 +68,7 @@ MAP = "map"  # gid of a panel over a grid
 # Of a panel, as shares of it: scale bars stand in the first that is clear, north in the last; an end is in the way.
 CORNERS = {"lower left": (0, 0), "lower right": (1, 0), "upper left": (0, 1), "upper right": (1, 1)}
 NEAR = 0.2
+ORIENTED_IN = 1.5  # narrower panels have no room for a scale bar and north
 NORTH = "▲\nN"
 SAME = 0.01  # share of a scale, which no eye tells apart
 # Around what is drawn over maps, so that it is seen over any colour.
@@ -253,7 +254,7 @@ def draw_maps(
         title = letter(number, len(panels)) + panel.title
         _draw_panel(spot, panel._replace(title=title), panel.grid or grid, size)
         spot.title.set_size(TEXT_PT if fits else SMALL_PT)
-        if fits:
+        if size.panel_in > ORIENTED_IN:
             _orient(spot)
         if has_ticks:
             is_left = number % size.num_cols == 0
