@@ -28,6 +28,7 @@ from jaxurban.studies.weights.summary import MORE, small_parts, summarise
 from jaxurban.studies.weights.verdicts import WeightVerdict, on_other_maps, verdicts_of
 from jaxurban.typing import Sensitivity
 from tests.cli_runs import TOWN, run
+from tests.made_maps import made_maps
 from tests.pictures import faults
 from tests.studies.routes_made import WEIGHT_STUDY, run_study, same_rows
 
@@ -520,3 +521,18 @@ def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(kept, folders, tmp_p
 def test_two_workers_give_the_rows_of_one(kept, tmp_path):
     _, result, again, _ = kept
     same_rows(again(tmp_path, workers=2).rows, result.rows)
+
+
+def test_a_route_that_nothing_joins_is_studied_next_at_the_altitude_that_joins_its_ends(tmp_path):
+    maps = made_maps(24, 24, (20.0, 60.0))
+    maps.ds["obstacle"].values[0, 12] = 1  # a wall from side to side, 20 m up alone
+    start, goal = (maps.grid.lonlat_of_cell(row, 12) for row in (4, 20))
+    assert not ju.plan(maps, start, goal, altitude_m=20.0).status.has_path
+    queries = [(start, goal)]
+    found = ju.studies.sensitivity(
+        {"made": maps}, tmp_path / "out", queries, altitudes_m=[20.0], progress=False
+    )
+    assert "as no path was found" in str(found.decided)
+    command = found.decided.next_command
+    assert "--altitude 60 " in command
+    assert f"--start {start[0]:.6f},{start[1]:.6f}" in command

@@ -23,6 +23,8 @@ from jaxurban.io.tables import INSTANCES_FILE
 from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import population_norms
+from jaxurban.paths.places import XY
+from jaxurban.paths.plan import cost_map
 from jaxurban.paths.queries import IN_METRES
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
@@ -175,6 +177,14 @@ class Sensitivity(StudyResult):
         if self.is_sampled:  # other routes than these
             others += f" --study seed={self.settings.seed + 1}"
 
+        # The only route without a path, higher up.
+        higher_m = self._joined_m()
+        if higher_m is not None:
+            ends_m = self.instances[[*IN_METRES]].to_numpy(float).reshape(2, 2)
+            higher = under.replace(f"--altitude {altitudes} ", f"--altitude {higher_m:g} ")
+            ends = ends_option(first.grid, ends_m)
+            others = f"jaxurban sensitivity {folders} {options}{higher}{place}-higher {ends}"
+
         # The same routes over maps of wider bounds.
         again = f"{options}{under}{place}-wider --routes {self.instances.instance.nunique()}"
         if self.route:
@@ -189,6 +199,19 @@ class Sensitivity(StudyResult):
             wider=self._on_wider_maps(again),
             factor=1 / len(self.maps),
         )
+
+    def _joined_m(self) -> float | None:
+        """Return the lowest altitude of the maps that joins the ends of the only route, above its own; else None."""
+        if len(self.rows) != 1 or self.rows.status.isin(HAS_PATH).all():
+            return None
+        (maps,) = self.maps.values()
+        start, goal = (XY(*end) for end in self.instances[[*IN_METRES]].to_numpy().reshape(2, 2))
+        own_m = self.instances.altitude_m.iloc[0]
+        for z_m in sorted(each for each in maps.altitudes_m if each > own_m):
+            costs = cost_map(maps, z_m, constraints=self.rules.constraints)
+            if costs.plan(start, goal, snap=self.rules.snap).status.has_path:
+                return z_m
+        return None
 
     def _on_wider_maps(self, options: str) -> str:
         """Return the commands that make wider maps of each city, called as it is, and study them; empty without any."""
