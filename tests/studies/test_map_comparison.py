@@ -195,10 +195,11 @@ def test_the_next_command_can_be_pasted(maps, found, tmp_path):
     few = ju.studies.compare(*folders, routes=4, progress=False)
     (more,) = re.findall(r"--routes (\d+) -o", few.decided.facts["next"])
     assert int(more) >= 8  # the fewest that have an interval
+    # Of equal maps it decides what the weights gain beside the baseline of distance alone.
     same = ju.studies.compare(folders[0], folders[0], routes=4, progress=False)
-    assert shlex.split(same.decided.facts["next"]) == [
-        *("jaxurban", "view", folders[0], "--resolution", "10")
-    ]
+    words = shlex.split(same.decided.facts["next"])
+    assert words[:4] == ["jaxurban", "compare", folders[0], folders[0]]
+    assert int(words[words.index("--routes") + 1]) > 4
 
 
 def test_what_only_one_of_the_maps_guesses_is_said(maps):

@@ -97,7 +97,7 @@ def test_tables_have_units_and_pictures_show_themselves_and_fill_a_cell_of_anoth
         "costs": study,
         "risk": change,
     }
-    page = Figure(figsize=(14.0, 12.0), layout="constrained")
+    page = Figure(figsize=(20.0, 18.0), layout="constrained")
     for (name, result), ax in zip(results.items(), page.subplots(2, 2).ravel(), strict=True):
         assert without_unit(result.tables) == []
         assert "decided" in result.decided._repr_html_()
