@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import osmium
 import shapely
-from osmium.filter import EmptyTagFilter, KeyFilter, TagFilter
+from osmium.filter import EmptyTagFilter, EntityFilter, KeyFilter
 from osmium.geom import use_nodes
 
 from jaxurban.cities.columns import ROUGH, tags_of
@@ -83,9 +83,7 @@ MAY_STAND_OR_TYPE.enable_for(osmium.osm.RELATION)
 POINTS = KeyFilter(*(key for key in KEYS if key != "amenity" and OF_POINTS.get(key, True)))
 POINTS.enable_for(osmium.osm.NODE)
 LAMPS = KeyFilter("highway", "amenity")  # of nodes
-# Of ways the first reading takes those alone that have such a value of the key of streets.
-NO_STREETS = TagFilter(*(("highway", value) for value in sorted(SOME["highway"])))
-NO_STREETS.enable_for(osmium.osm.WAY)
+NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
 
 
 def read_osm(path: str | Path) -> Outlines:
@@ -126,7 +124,6 @@ class _Objects:
       missing: ways that lack nodes.
       degenerate: closed ways of buildings that enclose nothing.
       cut: outlines that lack nodes or ways, and would stand as areas alone.
-      of_streets: the ids of ways that may stand by the key of streets, as gantries do.
       wanted: the ids of ways whose lines are needed.
       lines: of ways, by id.
       ways_of: the ids of the ways of what has no shape.
@@ -140,7 +137,6 @@ class _Objects:
         self.shapes: dict[Key, str] = {}
         self.areas, self.closed, self.open_ways, self.missing = (set[Key]() for _ in range(4))
         self.cut: set[Key] = set()
-        self.of_streets: set[int] = set()
         self.wanted: set[int] = set()
         self.lines: dict[int, shapely.Geometry] = {}
         self.ways_of: dict[Key, list[int]] = {}
@@ -154,16 +150,13 @@ class _Objects:
 
     def _read_objects(self, path: str | Path) -> None:
         """Read what may stand, and relations of buildings."""
-        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(NO_STREETS)
+        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(NO_WAYS)
         for of_it in EmptyTagFilter(), MAY_STAND_OR_TYPE, POINTS:
             processor = processor.with_filter(of_it)
         self.places: Any = processor.node_location_storage
         item: Any
         for item in processor:
             kind = item.type_str()
-            if kind == "w":
-                self.of_streets.add(item.id)
-                continue
             if kind == "a":
                 key = "w" if item.from_way() else "r", item.orig_id()
                 self.areas.add(key)
@@ -193,7 +186,7 @@ class _Objects:
         """Keep the line of a way that is asked for, and gantries, for which pyosmium calls this too."""
         if way.id in self.wanted:
             self._keep_line(way)
-        if way.id in self.of_streets:
+        if _is_among(way.tags.get("highway", ""), SOME["highway"]):  # in any case, and in lists
             self._keep_way(way)
 
     def _keep_way(self, way: Any) -> None:

@@ -338,6 +338,15 @@ def test_what_may_stand_is_read_in_any_case_in_lists_and_of_a_site(tmp_path):
     assert shapely.area(castle) == pytest.approx([SQUARE.area])
 
 
+@pytest.mark.parametrize("value", ["gantry", "Gantry", "crossing;gantry"])
+def test_a_gantry_is_read_of_a_way_in_any_case_and_in_lists(tmp_path, value):
+    corners = [node(30 + i, LON + 1e-4 * i, LAT) for i in range(2)]
+    lines = way(50, [30, 31], highway=value), way(51, [31, 30], highway="residential")
+    outlines = read(tmp_path, corners_of(1), *corners, *lines)
+    assert outlines.texts("highway").tolist().count(value.lower()) == 1
+    assert "residential" not in outlines.texts("highway")
+
+
 def test_relations_of_any_type_stand_by_their_tags_as_their_members_lie(tmp_path):
     deck = way(9, [1, 2, 3, 4, 1]), relation(20, [(9, "outline")], type="bridge", man_made="bridge")
     wires = way(11, [1, 3]), relation(21, [(11, "")], type="power", power="line")
