@@ -68,6 +68,7 @@ MAP = "map"  # gid of a panel over a grid
 # Of a panel, as shares of it: scale bars stand in the first that is clear, north in the last; an end is in the way.
 CORNERS = {"lower left": (0, 0), "lower right": (1, 0), "upper left": (0, 1), "upper right": (1, 1)}
 NEAR = 0.2
+GUESSED, GUESSED_SAID = "Guessed: ", "Rests on guesses (maps.guesses)."  # of a note; in small axes
 ORIENTED_IN = 1.5  # narrower panels have no room for a scale bar and north
 NORTH = "▲\nN"
 SAME = 0.01  # share of a scale, which no eye tells apart
@@ -213,7 +214,8 @@ def draw_maps(
     least_in = MIN_WIDTH_IN
     fits = not is_small(form)
     if not fits:
-        note, legend, has_ticks = "", (), False
+        note = GUESSED_SAID * (GUESSED in note)
+        legend, has_ticks = (), False
         heading = heading.partition(",")[0]
         panels = [panel._replace(foot="") for panel in panels]
         least_in = SMALL_PANEL_IN
@@ -565,7 +567,7 @@ def frame_note(
     sky = sky_said(maps, time) if has_sky else ""
     caveats = caveats_said(maps, of) if has_sky else []
     guesses = guesses_said(maps, has_sky)
-    guessed = f"Guessed: {guesses}" if guesses else ""
+    guessed = f"{GUESSED}{guesses}" if guesses else ""
     ground = ground_said(maps.grid, maps.attribution)
     return joined(*caveats, guessed, joined(sky, *ground), by="\n")
 

@@ -387,6 +387,16 @@ def test_a_picture_fills_a_cell_of_another_figure_under_its_title_and_in_its_col
     plt.close(whole)
 
 
+def test_in_a_small_cell_a_map_still_says_that_it_rests_on_guesses():
+    maps = make_maps()
+    maps.ds.attrs |= attribute(heights(0.03))
+    for is_guessed, shown in ((True, maps), (False, make_maps())):
+        _, (left, _) = plt.subplots(1, 2, figsize=(6.0, 3.0))
+        part = plotting.plot_metric(shown, "gps", altitude_m=20.0, ax=left)
+        assert ("Rests on guesses" in part.get_supxlabel()) == is_guessed
+    plt.close("all")
+
+
 @pytest.mark.parametrize(("side_in", "is_alone"), [(2.5, True), (5.0, True), (8.0, False)])
 def test_in_a_small_cell_a_map_stands_alone_and_fills_it(maps, side_in, is_alone):
     whole, axes = plt.subplots(1, 2, figsize=(2 * side_in, side_in))
