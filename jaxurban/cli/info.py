@@ -16,6 +16,7 @@ from jaxurban.io.sniff import LIDAR, sniff
 from jaxurban.io.stored import (
     GEOTIFF_FOLDER,
     OF_ZARR,
+    REPORT_FILE,
     RUN_FILE,
     ZARR_FOLDER,
     short_number,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
 MOST_BYTES = 2**30  # of any other file than of buildings or a raster: most are read whole
 DRAWN = (".geojson", ".geojsonl", ".kml")  # of outlines that may be zones
-REPORT = "report.md"  # of a study or a check
 MISSIONS = (".plan", ".waypoints", ".kmz", ".wpml", ".ulg", ".bin", ".tlog")  # and nothing else
 
 
@@ -68,9 +68,9 @@ def info_command(path: Path, place: Point | None, as_json: bool) -> None:
     folders = _folders_of_maps(path)
     if has_maps:
         facts, numbers = _facts_of_maps(path)
-    elif (path / REPORT).is_file():
-        title = (path / REPORT).read_text(encoding="utf-8").partition("\n")[0]
-        facts = {"holds": f"a report, {title.lstrip('# ')!r}: read {str(path / REPORT)!r}"}
+    elif (path / REPORT_FILE).is_file():
+        title = (path / REPORT_FILE).read_text(encoding="utf-8").partition("\n")[0]
+        facts = {"holds": f"a report, {title.lstrip('# ')!r}: read {str(path / REPORT_FILE)!r}"}
         numbers = []
     elif folders:
         facts = {folder.name: _state_of(folder) for folder in folders}

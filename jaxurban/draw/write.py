@@ -17,11 +17,11 @@ from PIL import Image
 
 from jaxurban.io.city import joined_credits
 from jaxurban.io.files import whole_file, write_whole
+from jaxurban.io.stored import REPORT_FILE
 from jaxurban.io.tables import SUFFIXES, write_table
 from jaxurban.paths.suffixes import PICTURES
 from jaxurban.statistics.conclusions import VERDICTS, Conclusion
 
-REPORT_FILE = "report.md"
 DUST = 1e-9  # what a sum of shares or metres leaves by rounding, which is no number
 DPI = 300  # of images, which the IEEE asks of colour
 NUM_COLOURS = 256  # of a PNG

@@ -11,6 +11,7 @@ from jaxurban.io.files import SCRATCH_SUFFIX, read_json
 from jaxurban.io.workspace import recorded
 
 RUN_FILE = "run.json"
+REPORT_FILE = "report.md"  # of a study or a check
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
 DONE_FOLDER, ZARR = (

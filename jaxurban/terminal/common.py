@@ -18,7 +18,7 @@ from jaxurban.checks import check_extra
 from jaxurban.errors import InputError, readable
 from jaxurban.exit_codes import ExitCode
 from jaxurban.io.samples import located
-from jaxurban.io.stored import stored_maps
+from jaxurban.io.stored import REPORT_FILE, stored_maps
 from jaxurban.paths.ceiling import CEILING_M
 from jaxurban.paths.suffixes import PICTURES
 from jaxurban.progress import LOG, reporting
@@ -434,7 +434,6 @@ def run_study(
         result = study(progress=report)
         report("report")
         result.save(output, overwrite)
-    from jaxurban.draw.write import REPORT_FILE
 
     figures = output / "figures"
     sentence = f"{command} finished: read {output / REPORT_FILE}"
@@ -479,7 +478,7 @@ def number_or_file(
 
 def report_places(output: Path) -> Settings:
     """Return where a report lies, as ``--json`` prints it."""
-    return {"folder": str(output), "report": str(output / "report.md")}
+    return {"folder": str(output), "report": str(output / REPORT_FILE)}
 
 
 def log_lines(lines: Mapping[str, str]) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 import pandas as pd
 
 from jaxurban.draw.write import (
-    REPORT_FILE,
     Figures,
     Markdown,
     ResultReport,
@@ -19,6 +18,7 @@ from jaxurban.draw.write import (
     framed,
     joined_with_and,
 )
+from jaxurban.io.stored import REPORT_FILE
 from jaxurban.io.tables import INSTANCES_FILE
 from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MetricMaps

@@ -10,7 +10,6 @@ from typing import Any
 import pandas as pd
 
 from jaxurban.draw.write import (
-    REPORT_FILE,
     Figures,
     Markdown,
     Outputs,
@@ -24,6 +23,7 @@ from jaxurban.draw.write import (
     save,
 )
 from jaxurban.errors import InputError
+from jaxurban.io.stored import REPORT_FILE
 from jaxurban.io.tables import INSTANCES_FILE, SUFFIXES, fingerprint, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.knowledge import names_of
