@@ -153,7 +153,9 @@ def test_info_of_a_file_of_zones_names_them_and_the_option_that_takes_them(
     assert f"jaxurban plan DIR --no-fly {str(path)!r}" in out
 
 
-@pytest.mark.filterwarnings("ignore::zarr.errors.ZarrUserWarning")
+@pytest.mark.filterwarnings(  # of Zarr, which xarray writes
+    "ignore:Consolidated metadata", "ignore:.*Zarr format 3 specification"
+)
 def test_info_of_what_was_written_says_what_it_is(capsys, made, tmp_path):
     _, whole, _ = run(capsys, "info", made)
     for inner in ("maps.zarr", "geotiff"):
