@@ -1,7 +1,7 @@
 """OpenStreetMap files: what may stand of them, assembled by pyosmium."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache
 from itertools import islice, pairwise
@@ -15,7 +15,7 @@ from osmium.filter import EmptyTagFilter, EntityFilter, KeyFilter
 from osmium.geom import use_nodes
 
 from jaxurban.cities.columns import ROUGH, tags_of
-from jaxurban.cities.kinds import NOT_BUILT, OF_LIFE, WATERS, Nothing
+from jaxurban.cities.kinds import NOT_BUILT, OF_LIFE, STANDING, WATERS, Nothing
 from jaxurban.cities.osm_plain import plain_osm
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.rules import ALONE, BY_VALUE, KINDS, LIVES, OF_AREAS, THINGS
@@ -70,19 +70,22 @@ Key = tuple[str, int]  # "n", "w" or "r", and an id
 Tags = dict[str, str]  # of an object
 OSM_SUFFIXES = (".pbf", ".osm", ".osm.json")  # of `sniff`
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
-# Keys of a filter, which passes some that `_may_stand` leaves out. It takes as long as it has keys to ask for, so the
-# commonest come first. Lamps and gantries are asked for apart, as streets have their key, and so are the stands of
-# hunters, as many other points have theirs; other keys are left out, as they come with keys that are there.
-ASKED_APART = {"highway", "artwork_type", *ROUGH[1:]}
-KEYS = [
-    key for key in dict.fromkeys((*BUILDINGS, *SOME, "layer", *MAYBE)) if key not in ASKED_APART
-]
+# Keys of filters, which pass some that `_may_stand` leaves out. They take as long as they have keys to ask for, so the
+# commonest come first, those of what is out of use last, and those that come with others are left out. Gantries are
+# asked for apart, as streets have their key.
+LEFT_OUT = {"highway", "artwork_type", *ROUGH[1:]}
+LIFE = tuple(f"{life}:" for life in (*STANDING, *NOT_BUILT))
+ASKED_FOR = dict.fromkeys(
+    key for key in (*BUILDINGS, *SOME, "layer", *MAYBE) if key not in LEFT_OUT
+)
+KEYS = sorted(ASKED_FOR, key=lambda key: key.startswith(LIFE))
 MAY_STAND = KeyFilter(*KEYS)
-MAY_STAND_OR_TYPE = KeyFilter(*KEYS, "type")
-MAY_STAND_OR_TYPE.enable_for(osmium.osm.RELATION)
-POINTS = KeyFilter(*(key for key in KEYS if key != "amenity" and OF_POINTS.get(key, True)))
+OF_RELATIONS = KeyFilter(*KEYS)
+OF_RELATIONS.enable_for(osmium.osm.RELATION)
+POINTS = KeyFilter(
+    "natural", "highway", "amenity", *(key for key in KEYS if OF_POINTS.get(key, True))
+)
 POINTS.enable_for(osmium.osm.NODE)
-LAMPS = KeyFilter("highway", "amenity")  # of nodes
 NO_WAYS = EntityFilter(osmium.osm.NODE | osmium.osm.RELATION | osmium.osm.AREA)
 
 
@@ -118,7 +121,7 @@ class _Objects:
 
     Attributes:
       tags: those that say what stands.
-      shapes: WKB in hexadecimal, as pyosmium makes it.
+      shapes: WKB in hexadecimal, as pyosmium makes it; at first those of `lamps`, and of the stands of hunters.
       areas: what libosmium takes for areas, whether it could assemble them or not, and sites.
       closed, open_ways: ways that may stand and are no areas.
       missing: ways that lack nodes.
@@ -134,6 +137,7 @@ class _Objects:
     def __init__(self, path: str | Path) -> None:
         """Read a file that pyosmium can read."""
         self.tags: dict[Key, Tags] = {}
+        self.lamps: dict[Key, str] = {}
         self.shapes: dict[Key, str] = {}
         self.areas, self.closed, self.open_ways, self.missing = (set[Key]() for _ in range(4))
         self.cut: set[Key] = set()
@@ -150,37 +154,39 @@ class _Objects:
 
     def _read_objects(self, path: str | Path) -> None:
         """Read what may stand, and relations of buildings."""
-        processor = open_osm(path, LAMPS, self).with_areas(MAY_STAND).with_filter(NO_WAYS)
-        for of_it in EmptyTagFilter(), MAY_STAND_OR_TYPE, POINTS:
+        processor = open_osm(path).with_areas(self, MAY_STAND).with_filter(NO_WAYS)
+        for of_it in EmptyTagFilter(), OF_RELATIONS, POINTS:
             processor = processor.with_filter(of_it)
         self.places: Any = processor.node_location_storage
+        keep = {"n": self._keep_node, "a": self._keep_area, "r": self._keep_relation}
         item: Any
         for item in processor:
-            kind = item.type_str()
-            if kind == "a":
-                key = "w" if item.from_way() else "r", item.orig_id()
-                self.areas.add(key)
-            else:
-                key = kind, item.id
-            tags = _tags_of(item.tags)
-            if kind == "r":
-                if not self._keep_relation(item, tags):
-                    continue
-            elif not _may_stand(tags, OF_POINTS if kind == "n" else SOME):
-                continue
-            elif kind == "n":
-                self.shapes[key] = TO_WKB.create_point(item)
-            elif item.num_rings()[0] > 0:
-                self.shapes[key] = TO_WKB.create_multipolygon(item)
-            self.tags[key] = tags
+            keep[item.type_str()](item)
+        self.shapes = self.lamps | self.shapes
 
-    def node(self, lamp: Any) -> None:
-        """Keep what may be a lamp, or a stand of hunters, for which pyosmium calls this."""
-        get = lamp.tags.get
-        is_lamp = _is_among(get("highway", ""), SOME["highway"])
-        if is_lamp or _is_among(get("amenity", ""), OF_POINTS["amenity"]):
-            self.tags["n", lamp.id] = _named(lamp.tags, OF_LAMPS)
-            self.shapes["n", lamp.id] = TO_WKB.create_point(lamp)
+    def _keep_node(self, node: Any) -> None:
+        """Keep a point that may stand."""
+        tags = _tags_of(node.tags)
+        if not _may_stand(tags, OF_POINTS):
+            return
+        key = "n", node.id
+        self.tags[key] = tags
+        is_lamp = _is_among(tags.get("highway", ""), OF_POINTS["highway"])
+        if is_lamp or _is_among(tags.get("amenity", ""), OF_POINTS["amenity"]):
+            self.lamps[key] = TO_WKB.create_point(node)
+        else:
+            self.shapes[key] = TO_WKB.create_point(node)
+
+    def _keep_area(self, area: Any) -> None:
+        """Keep an area that may stand, whether libosmium could assemble it or not."""
+        key = "w" if area.from_way() else "r", area.orig_id()
+        self.areas.add(key)
+        tags = _tags_of(area.tags)
+        if not _may_stand(tags):
+            return
+        self.tags[key] = tags
+        if area.num_rings()[0] > 0:
+            self.shapes[key] = TO_WKB.create_multipolygon(area)
 
     def way(self, way: Any) -> None:
         """Keep the line of a way that is asked for, and gantries, for which pyosmium calls this too."""
@@ -210,30 +216,41 @@ class _Objects:
         self.tags[key] = tags
         self.ways_of[key] = [way.id]
 
-    def _keep_relation(self, item: Any, tags: Tags) -> bool:
-        """Keep the members of a relation that may need them; return whether it may stand itself, by its tags."""
-        of_type = item.tags.get("type")
-        if of_type == BUILDING:
-            of_it = [*_all_of(item.members)]
+    def relation(self, relation: Any) -> None:
+        """Keep the members of a building's relation and of a bare one, for which pyosmium calls this at first."""
+        tags = relation.tags
+        if tags.get("type") == BUILDING:
+            of_it = [*_all_of(relation.members)]
             outer = [each for each in of_it if each.role in ("outline", "outer")]
             members = [(each.type, each.ref) for each in outer or of_it]
-            self.of_members |= dict.fromkeys(members, tags)
-            return False
-        key = "r", item.id
-        may_stand = _may_stand(tags)
+            self.of_members |= dict.fromkeys(members, _tags_of(tags))
+        elif len(tags) == 1:  # it may be the outline in a relation of a building
+            self._keep_ways_of(relation)
+
+    def _keep_ways_of(self, relation: Any) -> None:
+        """Keep the ids of the ways of a relation."""
+        members = _all_of(relation.members)
+        self.ways_of["r", relation.id] = [each.ref for each in members if each.type == "w"]
+
+    def _keep_relation(self, relation: Any) -> None:
+        """Keep a relation that may stand itself, or of which a part may."""
+        key = "r", relation.id
+        tags = _tags_of(relation.tags)
+        of_type = relation.tags.get("type")
         is_area = of_type == "multipolygon"
         if is_area and _may_stand(tags, OF_OUTLINES) and not _may_stand(tags, OF_POINTS):
             self.cut.add(key)
-        # A bare one may be the outline in a relation of a building.
-        if may_stand or len(item.tags) == 1:
-            all_of_it = _all_of(item.members)
-            self.ways_of[key] = [each.ref for each in all_of_it if each.type == "w"]
-        if of_type in ("site", "bridge"):
-            self.areas.add(key)
-            points = self._places(each.ref for each in _all_of(item.members) if each.type == "n")
-            if may_stand and points and not self.ways_of[key]:
-                self.shapes[key] = shapely.MultiPoint(points).wkb_hex
-        return may_stand
+        if of_type == BUILDING or not _may_stand(tags):
+            return
+        self.tags[key] = tags
+        self._keep_ways_of(relation)
+        if of_type not in ("site", "bridge"):
+            return
+        self.areas.add(key)
+        members = _all_of(relation.members)
+        points = self._places(each.ref for each in members if each.type == "n")
+        if points and not self.ways_of[key]:
+            self.shapes[key] = shapely.MultiPoint(points).wkb_hex
 
     def _places(self, nodes: Iterable[int]) -> list[tuple[float, float]]:
         """Return the longitudes and latitudes of those nodes of some ids that are known."""
@@ -250,7 +267,8 @@ class _Objects:
         try:
             line = shapely.from_wkb(bytes.fromhex(TO_WKB.create_linestring(way, use_nodes.ALL)))
         except (RuntimeError, osmium.InvalidLocationError):  # without the places of its nodes
-            points = self._places(node.ref for node in way.nodes)
+            places = [node.location for node in _all_of(way.nodes)]
+            points = [(place.lon, place.lat) for place in places if place.valid()]
             line = shapely.Point(points) if len(points) == 1 else shapely.LineString(points)
             lacks_nodes = len(points) < len(way.nodes)
         if lacks_nodes:
@@ -266,10 +284,11 @@ class _Objects:
         self._want_lines()
         places = osmium.NodeLocationsForWays(self.places)
         places.ignore_errors()  # extracts lack nodes
-        ways = osmium.FileProcessor(_file(path), osmium.osm.WAY).with_filter(MAY_STAND)
+        ways = osmium.FileProcessor(_file(path), osmium.osm.WAY).with_filter(places)
         item: Any
-        for item in ways.with_filter(places).handler_for_filtered(self):
-            self.way(item)
+        for item in ways.with_filter(MAY_STAND).handler_for_filtered(self):
+            if item.id in self.wanted:
+                self._keep_line(item)
             self._keep_way(item)
 
     def _want_lines(self) -> None:
@@ -346,15 +365,10 @@ class _Objects:
 
 def _tags_of(tags: Any) -> Tags:
     """Return those tags of an object that say what stands."""
-    if tags.get("natural") == "tree":  # there are many
-        return _named(tags, OF_TREES)
-    return {name: value for name, value in _all_of(tags) if name in TAGS}
-
-
-def _named(tags: Any, names: Sequence[str]) -> Tags:
-    """Return those tags of an object that have some names."""
-    get = tags.get
-    return {name: value for name in names if (value := get(name)) is not None}
+    named = {name: value for name, value in _all_of(tags) if name in TAGS}
+    if named.get("natural") != "tree":
+        return named
+    return {name: named[name] for name in OF_TREES if name in named}  # not its trunk's diameter
 
 
 def _all_of(items: Any) -> Iterator[Any]:
