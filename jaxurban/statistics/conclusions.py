@@ -256,11 +256,11 @@ def concluded(
     command = done
     if any(each.kind is SharedVerdict.BORDER for each in verdicts):
         command = wider or done
-    open_ones = within_reach(verdicts)
     asked = 0.0
-    if open_ones:
-        asked = open_ones[0].needed
-        num = factor * _runs_for(open_ones[0], ran)
+    runs = ((each.needed, factor * _runs_for(each, ran)) for each in within_reach(verdicts))
+    asked_for = [(needed, num) for needed, num in runs if num <= MOST_ASKED_FOR]
+    if asked_for:
+        asked, num = asked_for[0]
         command = more.replace("{needed}", str(math.ceil(num)))
     return Conclusion(tuple(verdicts), command, asked)
 

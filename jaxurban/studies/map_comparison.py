@@ -1,5 +1,6 @@
 """compare: two sets of maps of one place, cell by cell, on the part that both hold."""
 
+import json
 import shlex
 from collections.abc import Iterator
 from contextlib import suppress
@@ -38,6 +39,7 @@ COLUMNS = (
     *("layer", "unit", "altitude_m", "time", "time_of_day"),
     *("cells", "mean_a", "mean", "rms", "higher", "lower", "lost", "gained"),
 )
+LATER_HOURS = (0, 3, 6, 9)
 USUAL_ROUTES = 40  # at each altitude, from which routes are judged
 
 
@@ -54,8 +56,12 @@ class MapVerdict(Enum):
         "these are up to {apart_m:,.0f} m away; B closes {closed:,} of A's, and {lost:,} have no way on B"
     )
     KEPT = "A route of A that B leaves open costs {size} more on B than B's own ({n})"
-    KEPT_OPEN = "How much more than B's own a route of A costs on B is open: {size} ({n})"
+    KEPT_OPEN = "Whether a route of A costs more on B than B's own is open: {size} ({n})"
     NO_ROUTES = "Whether routes change: none were planned"
+    ONE_TIME = (
+        "How much of it is of this one time, {time}, where a single satellite that rises or sets may make all of it: "
+        "maps of further times show it ([gps] times)"
+    )
     GUESSES = "How much of it comes of what they guess differently (A: {of_a}; B: {of_b})"
 
 
@@ -143,7 +149,8 @@ class MapComparison(StudyResult):
     @cached_property
     def decided(self) -> Conclusion:
         """What B's maps change in the cost's metrics, in the cells open to planners, and for routes."""
-        verdicts = [self._of_cells(), *self._of_routes(), *self._of_guesses()]
+        of_time = self._of_time()
+        verdicts = [self._of_cells(), *self._of_routes(), *of_time, *self._of_guesses()]
 
         # Commands that can be pasted as they are; of maps in memory they are Python's.
         more = "ju.studies.compare(A, B, routes={needed})"
@@ -155,14 +162,36 @@ class MapComparison(StudyResult):
             which = f"--resolution {self.a.grid.resolution_m:g}"
             more = f"jaxurban compare {a} {b} {which} --routes {{needed}} -o {b}_routes_{{needed}}"
             view = f"jaxurban view {b} {which}"
-            wider = f'jaxurban maps {a} {b} -o {b}_wider --set "region.bounds={bounds}" && jaxurban compare '
-            wider += " ".join(f"{b}_wider/{shlex.quote(Path(name).name)}" for name in self.names)
-            same = self.routes_file or self.routes.get("pair", pd.Series()).nunique()
-            wider += f" {which} --routes {same} -o {b}_wider_routes"
+            wider = self._again("wider", f"region.bounds={bounds}")
+            if of_time:
+                view = self._again("times", f"gps.times={json.dumps(self._further_times)}")
         command = more if self.routes.empty else view
         done = command.replace("{needed}", str(USUAL_ROUTES))
         num = 0 if self.routes.empty else self.routes.pair.nunique()
         return concluded(verdicts, more=more, done=done, wider=bounds and wider, ran=num)
+
+    def _again(self, ending: str, setting: str) -> str:
+        """Return the command that makes both maps with another setting, in such a folder, and compares them."""
+        a, b = map(shlex.quote, self.names)
+        made = " ".join(f"{b}_{ending}/{shlex.quote(Path(name).name)}" for name in self.names)
+        same = self.routes_file or self.routes.get("pair", pd.Series()).nunique()
+        return (
+            f"jaxurban maps {a} {b} -o {b}_{ending} --set {shlex.quote(setting)} && jaxurban compare {made} "
+            f"--resolution {self.a.grid.resolution_m:g} --routes {same} -o {b}_{ending}_routes"
+        )
+
+    @property
+    def _further_times(self) -> list[str]:
+        """The first time, and those some hours later, when other satellites are low."""
+        first = pd.Timestamp(self.table.time.dropna().iloc[0])
+        return [iso_utc(str(first + pd.Timedelta(hours=hours))) for hours in LATER_HOURS]
+
+    def _of_time(self) -> list[Verdict]:
+        """Return that a difference in the sky may be of the one time that both hold; nothing of several."""
+        of_sky = self.table.dropna(subset="time")
+        if of_sky.time.nunique() != 1 or not of_sky[["higher", "lower"]].any(axis=None):
+            return []
+        return [Verdict(MapVerdict.ONE_TIME, needed=np.nan, facts={"time": of_sky.time.iloc[0]})]
 
     def _of_cells(self) -> Verdict:
         """Return by how much each metric differs on average, and how many cells change for planners."""

@@ -24,6 +24,7 @@ from jaxurban.terminal.common import (
     Point,
     Settings,
     all_cores,
+    finished_said,
     finite_records,
     log_lines,
     number_or_file,
@@ -140,7 +141,7 @@ def sensitivity_command(
     if start is not None and result.rows.note[0]:
         LOG.info(result.rows.note[0])
     log_lines(result.decided.facts)
-    LOG.info(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
+    LOG.info(finished_said("sensitivity", output))
     if as_json:
         facts = {
             "folder": str(output),

@@ -22,6 +22,7 @@ from jaxurban.terminal.common import (
     RULES,
     Settings,
     again,
+    finished_said,
     log_lines,
     print_json,
 )
@@ -177,7 +178,7 @@ def tune_command(
     LOG.info(facts["message"])
     for warning in facts.get("warnings", []):
         LOG.info(f"warning: {warning}")
-    LOG.info(f"tune finished: read {output / 'report.md'}")
+    LOG.info(finished_said("tune", output))
     if as_json:
         print_json(facts)
     else:

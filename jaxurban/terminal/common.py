@@ -435,12 +435,17 @@ def run_study(
         report("report")
         result.save(output, overwrite)
 
-    figures = output / "figures"
+    LOG.info(finished_said(command, output))
+    return result
+
+
+def finished_said(command: str, output: Path) -> str:
+    """Return where the report of a study is that a command wrote, and its figures, if it has some."""
     sentence = f"{command} finished: read {output / REPORT_FILE}"
+    figures = output / "figures"
     if figures.is_dir():
         sentence += f", look at {figures}"
-    LOG.info(sentence)
-    return result
+    return sentence
 
 
 FLAGS = ("--json", "--overwrite")  # of a command that is run again they are left out

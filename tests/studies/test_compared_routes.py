@@ -9,6 +9,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.kernels.line.traversal import crossed_cells
+from jaxurban.studies.map_comparison import MapVerdict
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.studies.test_map_comparison import changed_from
@@ -195,6 +196,10 @@ def test_a_table_of_routes_gives_the_same_pairs_and_wider_maps_come_next_with_it
     )
     unwritten = replace(named, routes_file="")
     assert f" --routes {NUM} -o b_wider_routes" in unwritten.decided.next_command
+    inside = replace(named, routes=pinned.assign(at_edge=0.0))
+    assert MapVerdict.ONE_TIME in [each.kind for each in inside.decided.verdicts]
+    assert "--set 'gps.times=[\"" in inside.decided.next_command
+    assert inside.decided.next_command.endswith(" -o b_times_routes")
     with pytest.raises(ju.InputError, match="altitude"):
         ju.studies.compare(*maps, routes=routes.drop(columns="altitude_m"), progress=False)
     with pytest.raises(ju.InputError, match="lack the columns start_lon"):

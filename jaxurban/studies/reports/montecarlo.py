@@ -7,12 +7,13 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from jaxurban.draw.paths import plot_paths
-from jaxurban.draw.write import Figures, ResultReport, joined_with_and
+from jaxurban.draw.write import Figures, ResultReport, bullets, joined_with_and
 from jaxurban.knowledge import names_of
 from jaxurban.metrics.base import ones_said
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.rows import CRASHED
 from jaxurban.pictures import MapForm
+from jaxurban.planners.registry import PLANNERS
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.baseline import baseline_said
 from jaxurban.studies.decided import FEWEST_RUNS
@@ -97,6 +98,7 @@ def benchmark_report(result: BenchmarkResult) -> ResultReport:
     budget = f"{study.budget_iterations} samples, others to their end"
     if study.budget_iterations is None:
         budget = f"{study.budget_s:g} s a run"
+    planners = sorted(table.planner.unique())
     fields = {
         "tables": shown,
         "credits": [result.maps.attribution],
@@ -104,8 +106,9 @@ def benchmark_report(result: BenchmarkResult) -> ResultReport:
         "guessed": [names_of(result.maps.guesses)],
         "num_instances": table.instance.nunique(),
         "num_runs": len(table),
+        "num_shortest": len(table) - len(weighted),
         "num_all_solve": weighted.groupby(KEY).has_path.all().groupby("instance").any().sum(),
-        "planners": joined_with_and(sorted(table.planner.unique())),
+        "planners": bullets(f"{name}: {PLANNERS[name].summary}" for name in planners),
         "grid": result.maps.grid,
         "budget": budget,
         "settings": settings,

@@ -41,7 +41,7 @@ class WeightVerdict(Enum):
     TIED = "which of {what} matters more ({first} over {last}: {size}, {n})"
     COSTS = "{first} {wrong:g} times wrong makes routes cost {size} more: {paid} (means of {n})"
     COSTS_OPEN = (
-        "how much more routes cost with {first} {wrong:g} times wrong is open: {size} ({n})"
+        "whether routes cost more at all with {first} {wrong:g} times wrong is open: {size} ({n})"
     )
     NO_CHANGE = "no factor of {what} from {low:g} to {high:g} changes any of {n}"
     OTHER_WAY = (
