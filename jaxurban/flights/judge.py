@@ -398,7 +398,9 @@ def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> li
     over_text = "passes {:.1f} m over or under a {}"
     beside_text = "passes {:.1f} m beside a {}"
     return [
-        _described(hits, buildings, "flies up to {:.1f} m {into} a {}", -hits["gap_m"]),
+        _described(
+            hits, buildings, "flies {where} a {1}, up to {0:.1f} m below its {top}", -hits["gap_m"]
+        ),
         _described(over, buildings, over_text, over["gap_m"], limits.vertical_m),
         _described(beside, buildings, beside_text, beside["apart_m"], limits.horizontal_m),
     ]
@@ -420,12 +422,15 @@ def _described(
     is_guessed = buildings.is_guessed[prism]
     kinds = buildings.kind[prism]
     top_m = buildings.top_m[prism]
+    tops = np.where(np.isfinite(buildings.floor_m[prism]), "top or above its underside", "top")
     endings = np.where(is_guessed, " of guessed height", "")
     what = []
-    for apart_m, kind, height_m, ending in zip(metres, kinds, top_m, endings, strict=True):
+    for apart_m, kind, height_m, top, ending in zip(
+        metres, kinds, top_m, tops, endings, strict=True
+    ):
         is_wire = kind in WIRES  # a curtain from the ground up
-        into = "below or beside" if is_wire else "into"
-        sentence = text.format(apart_m, kind, into=into) + ending
+        where = "below or beside" if is_wire else "through"
+        sentence = text.format(apart_m, kind, where=where, top=top) + ending
         if is_wire:
             sentence += f", whose height is taken as {height_m:.1f} m"
         what.append(sentence)

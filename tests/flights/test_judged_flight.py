@@ -267,7 +267,7 @@ def test_buildings_stand_on_the_ground_of_the_file_and_not_of_the_cells(tmp_path
     content = json.dumps({"type": "LineString", "coordinates": ends})
     options = {"heights": "geoid", "home": tuple(scene.lonlat(250.0, 300.0))}
     result = checked(scene, tmp_path, content, "m.geojson", **options)
-    assert result.findings["what"].str.contains("into a building").any()
+    assert result.findings["what"].str.contains("through a building").any()
     over = json.dumps(
         {"type": "LineString", "coordinates": [[*end[:2], level_m + 5.0] for end in ends]}
     )

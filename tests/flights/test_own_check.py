@@ -221,7 +221,7 @@ def test_the_command_moves_ends_to_the_ground_and_keeps_other_files(folder, tmp_
     for options in ((), ("--snap", "--ends-in-air")):
         code, facts = ended(*options)
         assert code == facts["exit_code"] == 2
-        assert "(exact outlines) finds that it flies up to" in facts["message"]
+        assert "(exact outlines) finds that it flies through" in facts["message"]
         assert "let its ends be moved to free ground by --snap" in facts["message"]
         assert all((tmp_path / name).exists() for name in FILES)
         assert not (tmp_path / "x.plan").exists()

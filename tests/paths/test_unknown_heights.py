@@ -96,7 +96,9 @@ def test_what_lies_between_the_two_heights_is_not_judged_and_all_above_is(
     result = ju.check(scene.maps, tmp_path / "m.plan", sources=sources)
     assert result.state == state, result
     if box == MAST and by_outlines and state == "findings":
-        assert result.findings["what"].tolist() == ["flies up to 2.0 m into a mast"]
+        assert result.findings["what"].tolist() == [
+            "flies through a mast, up to 2.0 m below its top"
+        ]
 
 
 def test_what_is_not_judged_says_its_kind_and_up_to_where(tmp_path):
@@ -241,7 +243,11 @@ def test_a_finding_about_a_wire_says_the_height_that_was_taken(tmp_path, kind, o
     scene = town([HOUSE], [10.0], [False], LIMIT_M, along)
     guess = "" if origin == HeightOrigin.HEIGHT else " of guessed height"
     for height_m, wire, other in (
-        (40.0, f"flies up to 10.0 m below or beside a {kind}", "flies up to 10.0 m into a mast"),
+        (
+            40.0,
+            f"flies below or beside a {kind}, up to 10.0 m below its top",
+            "flies through a mast, up to 10.0 m below its top",
+        ),
         (52.0, f"passes 2.0 m over or under a {kind}", "passes 2.0 m over or under a mast"),
     ):
         result = checked(scene, tmp_path, across(scene, MAST, height_m))
