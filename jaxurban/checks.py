@@ -274,7 +274,7 @@ def typed(public: Public) -> Public:
             if wrong:
                 fault = f"there is no argument {wrong!r}{_home_of(wrong, checked)}"
             elif by_name and len(args) > len(in_order):
-                fault += f": write {by_name[0]}={_shown(args[len(in_order)])}"
+                fault += _place_of(args[len(in_order)], by_name, in_order[-1], kinds())
             raise InputError(f"{public.__name__}: {fault}") from error
 
         # Each value against the kinds of its argument; a keyword that ``**further`` takes has the kinds of that.
@@ -332,6 +332,18 @@ def _hints(function: Callable) -> dict[str, Any]:
         if parameter.kind is parameter.VAR_POSITIONAL:
             hints[name] = Iterable[hints.get(name, Any)]  # type: ignore[misc]
     return {name: hints[name] for name in parameters if name in hints}
+
+
+def _place_of(
+    value: Any, by_name: list[str], last: str, kinds: Mapping[str, list[ArgumentKind]]
+) -> str:
+    """Return the end of a message on a value too many: the keyword that takes it, else a list of the last argument."""
+    for name in by_name:
+        if any(kind.holds(value) for kind in kinds.get(name, [])):
+            return f": write {name}={_shown(value)}"
+    if any(kind.holds([value]) for kind in kinds.get(last, [])):
+        return f": give {last} as a list, [..., ...]"
+    return f"; by name it takes {', '.join(by_name)}"
 
 
 def _home_of(name: str, function: Callable) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from jaxurban.knowledge import Caution, caution_lines
-from jaxurban.spelling import alike, near
+from jaxurban.spelling import MEANT, alike, near
 
 # Modules of the package whose names are public too.
 NAMESPACES = ("fit", "grad", "metrics", "studies")
@@ -59,6 +59,7 @@ def public_names(
 def _meant(name: str, own: Iterable[str]) -> list[str]:
     """Return public names, with their modules, that a missing name of a module may mean: first the module's own."""
     known = {} if name.startswith("_") else _public_homes()
+    name = MEANT.get(name, name)
     names = [name] if name in known else alike(name, known.keys() & set(own))
     names = names or near(name, known) or [each for each in known if name.startswith(each)]
     return [f"{known[each]}.{each}" for each in names]

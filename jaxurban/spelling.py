@@ -4,14 +4,30 @@ import difflib
 from collections.abc import Iterable
 
 LEAST_ALIKE = 0.66  # as two letters of three are
+MEANT = {  # by names of other libraries
+    "coords": "lonlat",
+    "coordinates": "lonlat",
+    "points": "xy_m",
+    "distance": "length_m",
+    "geometry": "lonlat",
+    "save": "savefig",
+    "load_maps": "open_maps",
+    "read_maps": "open_maps",
+    "astar": "plan",
+    "find_path": "plan",
+    "plot_gps": "plot_metric",
+    "plot_maps": "plot_metric",
+}
 
 
 def near(name: str, valid: Iterable[str]) -> list[str]:
     """Return in a list the valid name that a wrong one means: the only one that begins so, else the most like it.
 
-    The list is empty where none is like it (`alike`).
+    What other libraries call it is known (`MEANT`). The list is empty where none is like it (`alike`).
     """
     names = list(valid)
+    if MEANT.get(name) in names:
+        return [MEANT[name]]
     beginning = [each for each in names if each.startswith(name)]
     return beginning if len(beginning) == 1 else alike(name, names)
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban.metrics.registry import known_metrics
@@ -25,6 +26,12 @@ from jaxurban.public import NAMESPACES, PICTURES, TYPES, find_public
 from tests.made_maps import made_maps
 
 MAPS = made_maps(24, 30)
+
+
+def two_paths() -> list:
+    return [ju.plan(MAPS, START, GOAL, altitude_m=20.0, weights={"gps": gps}) for gps in (1.0, 5.0)]
+
+
 FREE = np.argwhere(MAPS.is_free(20.0))
 START, GOAL = (MAPS.grid.lonlat_of_cell(*FREE[at]) for at in (0, -1))
 BOUNDS = (-74.0, 40.755, -73.997, 40.757)
@@ -468,6 +475,7 @@ def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy_
     ("call", "sentence"),
     [
         (lambda: ju.plan(MAPS, START, GOAL, 20.0), "plan: too many positional arguments: write altitude_m=20.0"),
+        (lambda: ju.plot.plot_paths(MAPS, *two_paths()), "plot_paths: too many positional arguments: give paths as a list"),
         (lambda: MAPS.m("gps", 61.0), "these maps hold 20.0, 60.0; name it in altitudes_m to make a map of it"),
         (lambda: ju.plot.plot_sky("out/maps"), "of must be SkyAt (from sky, as in sky(maps, place, 60.0))"),
         (lambda: ju.plot.plot_city(MAPS), "city must be City (from City.from_files, sample_city or demo_city), got M"),
@@ -528,6 +536,8 @@ def test_an_unknown_argument_is_answered_by_what_takes_it_or_by_the_list_of_all_
         ("jaxurban.fit", "plan", "jaxurban.plan"),
         ("jaxurban", "openmaps", "jaxurban.open_maps"),
         ("jaxurban", "plann", "jaxurban.plan"),
+        ("jaxurban", "load_maps", "jaxurban.open_maps"),
+        ("jaxurban.plot", "plot_gps", "jaxurban.plot.plot_metric"),
     ],
 )
 def test_a_name_that_is_public_elsewhere_is_said_to_be_there(module, name, home):
@@ -546,6 +556,8 @@ def test_a_missing_attribute_of_a_result_names_the_one_that_is_meant():
         (MAPS.grid, "bounds", "bounds_m"),
         (path, "xy", "xy_m"),
         (path, "length", "length_m"),
+        (path, "coords", "lonlat"),
+        (path.plot(), "save", "savefig"),
     ):
         expected = (
             f"'{type(owner).__name__}' object has no attribute '{wrong}' (did you mean {meant}?)"
@@ -582,3 +594,8 @@ def test_a_notebook_shows_ones_own_lines_and_the_sentence():
     assert shown[-1] == f"InputError: {caught.value}"
     assert [line.partition(":")[0] for line in shown[-3:-1]] == ["line 4", "line 2"]
     assert len(caught.traceback) > len(shown)
+
+
+def test_alternatives_of_one_planner_have_names_and_colours_of_their_own():
+    texts = ju.plot.plot_paths(MAPS, two_paths()).findobj(Text)
+    assert {"astar 1", "astar 2"} <= {text.get_text() for text in texts}

@@ -1,5 +1,6 @@
 """Pictures of paths over the normalised cost, the overview of one region, and all pictures of a region as PNG."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain, cycle
@@ -264,7 +265,8 @@ def named_paths(paths: Paths, names: Sequence[str] | None) -> list[DrawnPath]:
 
     Args:
       paths: one, several, a batch, or a dictionary by name.
-      names: of the paths, in their order; None: each is called by its key, or else by its planner.
+      names: of the paths, in their order; None: each is called by its key, or else by its planner, with a number where
+        that planned several between the same ends.
 
     Raises:
       InputError: something else than paths, or another number of names.
@@ -277,11 +279,24 @@ def named_paths(paths: Paths, names: Sequence[str] | None) -> list[DrawnPath]:
             f"names must be a list of {len(planned)}, one for each path, got {names!r}"
         )
     if names is None:
-        return _by_proof([DrawnPath(path, path.search.planner) for path in planned])
+        return _numbered(_by_proof([DrawnPath(path, path.search.planner) for path in planned]))
 
     # A dollar sign begins a formula.
     texts = [name.replace("$", r"\$") for name in names]
     return [DrawnPath(path, text) for path, text in zip(planned, texts, strict=True)]
+
+
+def _numbered(named: Sequence[DrawnPath]) -> list[DrawnPath]:
+    """Return paths; those of one planner between the same ends of a map, under other weights or rules, with numbers."""
+    ends = [(each.path.xy_m[:1].tolist(), each.path.xy_m[-1:].tolist()) for each in named]
+    keys = [str((each.name, each.place, *of_it)) for each, of_it in zip(named, ends, strict=True)]
+    totals, counted = Counter(keys), Counter[str]()
+    numbered: list[DrawnPath] = []
+    for key, each in zip(keys, named, strict=True):
+        counted[key] += 1
+        is_one = totals[key] == 1 or not each.path.status.has_path
+        numbered.append(each if is_one else each._replace(name=f"{each.name} {counted[key]}"))
+    return numbered
 
 
 def _by_proof(named: Sequence[DrawnPath]) -> list[DrawnPath]:

@@ -33,6 +33,7 @@ from jaxurban.checks import nearest_name, typed
 from jaxurban.draw.write import DPI, Look
 from jaxurban.errors import InputError
 from jaxurban.pictures import Form
+from jaxurban.public import Hints
 
 SMALL_PT, TEXT_PT, HEADING_PT = 7.0, 8.0, 10.0  # of tick labels and notes; of titles
 # One column and two of a journal, by the IEEE Author Center's "Size Requirements for Graphics".
@@ -95,7 +96,7 @@ FIXED_SPACE = "\N{NO-BREAK SPACE}"
 FEWEST_LETTERS = 8  # of a broken line, however narrow its place is
 
 
-class Picture(Figure):
+class Picture(Hints, Figure):
     """A figure whose files are fit for print: text stays text in PDF and SVG, images have 300 dots an inch."""
 
     def _repr_png_(self) -> bytes:
