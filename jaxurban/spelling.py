@@ -17,6 +17,7 @@ MEANT = {  # by names of other libraries
     "find_path": "plan",
     "plot_gps": "plot_metric",
     "plot_maps": "plot_metric",
+    "when": "time",
 }
 
 

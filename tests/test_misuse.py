@@ -475,7 +475,7 @@ def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy_
     ("call", "sentence"),
     [
         (lambda: ju.plan(MAPS, START, GOAL, 20.0), "plan: too many positional arguments: write altitude_m=20.0"),
-        (lambda: ju.plot.plot_paths(MAPS, *two_paths()), "plot_paths: too many positional arguments: give paths as a list"),
+        (lambda: ju.plot.plot_paths(MAPS, *two_paths()), "plot_paths: too many positional arguments: give paths as"),
         (lambda: MAPS.m("gps", 61.0), "these maps hold 20.0, 60.0; name it in altitudes_m to make a map of it"),
         (lambda: ju.plot.plot_sky("out/maps"), "of must be SkyAt (from sky, as in sky(maps, place, 60.0))"),
         (lambda: ju.plot.plot_city(MAPS), "city must be City (from City.from_files, sample_city or demo_city), got M"),

@@ -32,6 +32,7 @@ from jaxurban.studies.sensitivity_command import sensitivity_command
 from jaxurban.studies.study_command import study_command
 from jaxurban.studies.tune_command import tune_command
 from jaxurban.terminal.common import logged_on_stderr, print_json
+from jaxurban.terminal.options import meant_option
 
 JSON = "--json"
 NO_MEMORY = (
@@ -123,9 +124,10 @@ def _run(arguments: Sequence[str]) -> int:
         print(help_text.format_message())
         code = 0
     except click.UsageError as error:
-        code = fail(
-            f"{error.format_message().rstrip('.')} (see jaxurban --help)", _option_of(error)
-        )
+        said = error.format_message().rstrip(".")
+        if isinstance(error, click.NoSuchOption):
+            said = meant_option(error) or said
+        code = fail(f"{said} (see jaxurban --help)", _option_of(error))
     except click.ClickException as error:
         code = fail(error.format_message())
 

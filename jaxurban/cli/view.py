@@ -17,7 +17,7 @@ from jaxurban.terminal.common import (
     SHOWN,
     SOURCES,
 )
-from jaxurban.terminal.options import command
+from jaxurban.terminal.options import WholeNumber, command
 
 if TYPE_CHECKING:
     from jaxurban.settings import Preset
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--port",
-    type=click.IntRange(0, 65535),
+    type=WholeNumber(0, 65535),
     default=0,
     help="Port to listen at.  [default: any that is free]",
 )

@@ -29,6 +29,7 @@ from jaxurban.terminal.options import (
     Number,
     Numbers,
     Values,
+    WholeNumber,
     grouped_options,
     options_together,
 )
@@ -242,7 +243,7 @@ def workers_of(workers: int | None, cluster: str | None) -> int | str | None:
 
 
 LONLAT = Numbers("LON,LAT", "longitude,latitude in degrees, as in -74.0,40.7", 2)
-COUNT, POSITIVE_COUNT = click.IntRange(min=0), click.IntRange(min=1)
+COUNT, POSITIVE_COUNT = WholeNumber(min=0), WholeNumber(min=1)
 SHOWN = partial(click.option, show_default=True)  # its default, in the help
 NUMBER = partial(click.option, type=Number())
 METRES = partial(NUMBER, metavar="METRES")

@@ -12,6 +12,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import click
 
 from jaxurban.checks import check_metres, finite, one_of, unit_of_argument
+from jaxurban.spelling import near
 
 Decorator = Callable[[Callable], Callable]
 
@@ -34,7 +35,13 @@ class Number(click.types.FloatParamType):
         return super().convert(value, param, ctx)
 
 
-ONE = {float: Number(), int: click.INT, bool: click.BOOL, str: click.STRING}
+class WholeNumber(click.IntRange):
+    """A whole number in a range."""
+
+    name = "whole number"
+
+
+ONE = {float: Number(), int: WholeNumber(), bool: click.BOOL, str: click.STRING}
 
 TYPED = "words"  # of a click context: those of the command
 # Sections of the help for options that several commands have; the others stand before them.
@@ -184,6 +191,23 @@ class Values(click.ParamType):
             number = type_of(self.hints[name]).convert(text.strip(), param, ctx)
             values[name] = finite(name, number) if isinstance(number, float) else number
         return values
+
+
+def meant_option(error: click.NoSuchOption) -> str:
+    """Return the message on an option that there is not, with the one that it means; empty where none is known.
+
+    It may be one of the values of another option, such as ``max_people`` of ``--limits``.
+    """
+    if error.ctx is None:
+        return ""
+    name = error.option_name.lstrip("-").replace("-", "_")
+    options = {}
+    for param in error.ctx.command.params:
+        options[param.opts[0].lstrip("-").replace("-", "_")] = param.opts[0]
+        if isinstance(param.type, Values):
+            options |= {key: f"{param.opts[0]} {key}=..." for key in param.type.names}
+    meant = near(name, options)
+    return f"No such option {error.option_name!r}: give {options[meant[0]]}" if meant else ""
 
 
 def type_of(hint: Any) -> Any:
