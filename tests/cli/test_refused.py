@@ -244,7 +244,7 @@ def test_a_command_that_runs_again_leaves_out_settings_that_a_shell_quotes():
         (("check", "out", "a.plan", "--when", "16:00"), "No such option '--when': give --time"),
         (("check", "out", "a.plan", "--max-people", "9"), "give --limits max_people=..."),
         (("check", "out", "a.plan", "--ceiling", "50"), "give --limits ceiling_m=..."),
-        (("view", "--port", "abc", "."), "'abc' is not a valid whole number"),
+        (("maps", "a.toml", "-o", "out", "--workers", "abc"), "'abc' is not a valid whole number"),
     ],
 )
 def test_an_option_that_means_another_one_names_it(capsys, arguments, sentence):
