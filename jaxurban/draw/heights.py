@@ -121,5 +121,5 @@ def _heights_figure(
             flat_layer(is_guessed, GUESSED_ROOF_COLOUR),
         ]
         panels.append(MapPanel(f"height guessed: {share} of cells with a roof", layers))
-        legend.append(("height guessed", GUESSED_ROOF_COLOUR))
+        legend += [("height known", OBSTACLE_COLOUR), ("height guessed", GUESSED_ROOF_COLOUR)]
     return draw_maps(grid, panels, "Heights (m)", note, legend=legend, **form)[0]

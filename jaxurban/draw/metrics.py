@@ -628,7 +628,7 @@ def plot_population(maps: MapsLike, **form: Unpack[MapForm]) -> Figure:
         num_people = np.nansum(per_km2, dtype=np.float64) * cell_km2
         title = f"{time_of_day}  ·  {num_people:,.0f} people"
         panels.append(MapPanel(title, layers_above_zero(per_km2, colours)))
-    legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
+    legend = [("no people, or\nno data of them", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
     heading = "Population density"
     note = frame_note(maps, has_sky=False)
     return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=colours, **form)[0]

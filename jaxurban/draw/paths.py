@@ -18,6 +18,7 @@ from matplotlib.patheffects import withStroke
 from jaxurban.draw.frame import (
     BLOCKED_COLOUR,
     ENDS,
+    MOST_RULES,
     DrawnMap,
     MapPanel,
     cropped,
@@ -85,7 +86,7 @@ COST_LABEL = "normalised cost\n(0: best free cell, 1: worst"
 COST_COLOURS = Colours(PALE, Normalize(0, 1), f"{COST_LABEL})")
 SHOWN_SHARES = 0.02, 0.98  # of the free cells that are shown lie below the ends of the scale
 LARGER = 2.0  # than the surroundings of the routes: of larger maps these alone are drawn
-ON_A_GRID = "N-neighbour grid: the best route along the N directions of a grid; at other angles one may be better."
+ON_A_GRID = "{}: the cheapest by steps from a cell to its neighbours; at other angles a route may be cheaper."
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
 STEP_PT = 2.2  # by which a path is wider than the next one, or less
 # Widths of the last of several paths of a panel, which lies over the others, and of the first of many.
@@ -516,7 +517,7 @@ def outcome_line(path: PlannedPath, name: str, has_cost: bool = True) -> str:
         return f"{legend_name(name)}: {path.status.value}"
     cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
     length = f"{path.length_m / 1000:.2f} km"
-    graph = f" (best of the {path.search.graph})" if is_best_of_grid(path) else ""
+    graph = " (best on the grid)" if is_best_of_grid(path) else ""
     return f"{legend_name(name)}: {joined(cost if has_cost else '', length, by=', ')}{graph}"
 
 
@@ -536,7 +537,11 @@ def is_best_of_grid(path: PlannedPath) -> bool:
 
 def grid_said(named: Iterable[DrawnPath]) -> str:
     """Return what the cheapest path of a grid is, if any of some paths is one."""
-    return ON_A_GRID if any(is_best_of_grid(each.path) for each in named) else ""
+    names = list(dict.fromkeys(each.name for each in named if is_best_of_grid(each.path)))
+    if not names:
+        return ""
+    more = " ..." * (len(names) > MOST_RULES)
+    return ON_A_GRID.format(joined(*names[:MOST_RULES], by=", ") + more)
 
 
 def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:

@@ -559,7 +559,7 @@ DENSITY = Variable(
     "density",
     "people per square kilometre",
     "km-2",
-    scale=Scale("magma_r", high=None, stretch="log", zero="no people in the data"),
+    scale=Scale("magma_r", high=None, stretch="log", zero="no people, or no data of them"),
     title="People per km²",
 )
 METRIC = Metric(

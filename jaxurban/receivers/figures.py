@@ -28,6 +28,7 @@ from jaxurban.receivers.rule import HIDDEN, SEEN, UNKNOWN
 ROOFS = "#cfcac2"
 SKY = 0.62  # height by the figure's width
 KEY_IN, ROW_IN = 0.5, 0.15  # height of the legend without rows, and of a row
+RINGS_DEG = 60, 30  # elevations at which circles are drawn, from the middle
 EDGE_DEG = 8.0  # of the band at the rim that is hatched where the horizon is not known
 LOOKS: dict[str, dict[str, Any]] = {  # of states; the marker is the system's
     SEEN: {"linewidths": 0.7},
@@ -120,7 +121,9 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     panel.set_rlim(0, 90)
     panel.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
     panel.tick_params(pad=-3)
-    panel.set_yticks([30, 60], ["", ""])
+    panel.set_yticks([90 - elevation for elevation in RINGS_DEG], ["", ""])
+    rings = " and ".join(f"{elevation}°" for elevation in RINGS_DEG)
+    panel.plot([], [], color="#b0b0b0", linewidth=0.8, label=f"circles: {rings} up")
 
     # The roofs, once around the sky: the first degree stands again at the end.
     around = np.radians(np.arange(361))

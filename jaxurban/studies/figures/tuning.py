@@ -59,14 +59,15 @@ def plot_weights(fit: WeightFit, **form: Unpack[Form]) -> Figure:
             marker = "|" if is_open[place] else "<"
         row = table.loc[[name]]
         dots(panel, np.array([place]), row, "weight", color=line_colour(name), marker=marker)
-    label = "weight, of a sum of 1\n(triangle: at most; bars\nthat leave the axis reach 0"
+    # What the marks mean that are drawn.
+    marks = ["dot: the fitted weight", "bar: its interval; one that leaves the axis reaches 0"]
+    if (is_0 & ~is_open & (drawn > 0)).any():
+        marks.append("triangle: the weight is 0, and at most this")
     pilot = table.pilot.where(table.pilot > 0)
     if pilot.notna().any():
         panel.scatter(pilot, range(len(table)), marker="x", color=PILOT_COLOUR, zorder=3)
-        label += ";\ncross: the pilot's)"
-    else:
-        label += ")"
-    panel.set(xscale="log", xlabel=label)
+        marks.append("cross: the pilot's weight")
+    panel.set(xscale="log", xlabel="\n".join(["weight, of a sum of 1", *marks]))
     show_plain_log(panel.xaxis)
     name_rows(panel, (table.index + ", " + table.unit).to_list())
     return figure

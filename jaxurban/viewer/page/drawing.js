@@ -34,9 +34,9 @@ function baseMap({ shapes, names }) {
       if (scale <= most) pen.stroke(path);
     }
   });
-  const write = (pen, toPixel, scale, [west, north, east, south], ends, routes) => { // inside these; those in
+  const write = (pen, toPixel, scale, [west, north, east, south], ends, routes, covers) => { // inside these; those in
     const boxes = (places, ...reach) => places.map(toPixel).map(at => [...at, ...reach]); // front come first, none
-    const taken = [...boxes(ends, 46, 10), ...boxes(routes, 0, 0)], most = taken.length + 60; // over another or a route
+    const taken = [...boxes(ends, 46, 10), ...boxes(routes, 0, 0), ...covers], most = taken.length + 60; // over another or a route
     for (const [x, y, text, kind, angle, metres] of names) {
       const [middle, top] = toPixel([x, y]), coarsest = KINDS[kind]?.most ?? Infinity;
       if (taken.length > most) return;

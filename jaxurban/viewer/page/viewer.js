@@ -84,7 +84,11 @@ async function start(root, ask, keepsPlan = true) { // in the address, unless it
     const [west, north] = toPixel([0, high]), [east, south] = toPixel([wide, 0]);
     const area = [Math.max(west, 0), Math.max(north, 0), Math.min(east, width), Math.min(south, height)];
     const routes = state.lines.flatMap(({ places }) => places.filter((_, k) => k % 4 === 0));
-    base?.write(pen, toPixel, view.scale, area, Object.keys(state.ends).map(markOf), routes);
+    const at = map.getBoundingClientRect();
+    const covers = [...root.querySelectorAll('.jv-map > div > *')].map(each => each.getBoundingClientRect()).map(
+      ({ left, top, width: across, height: down }) =>
+        [left - at.left + across / 2, top - at.top + down / 2, across / 2, down / 2]);
+    base?.write(pen, toPixel, view.scale, area, Object.keys(state.ends).map(markOf), routes, covers);
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
     if (state.drawing) line(state.drawing, '#a01830', 1.5);
     pen.globalAlpha = state.tab === 'check' && missions.isOpen() ? 0.4 : 1; // each tab's own line stands out
