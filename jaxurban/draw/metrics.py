@@ -46,6 +46,7 @@ from jaxurban.paths.closed import obstacles_at
 from jaxurban.pictures import MapForm
 
 NO_FREE_CELL = "no free cell"
+NO_VALUE_PATCH = ("no value", NO_DATA_PATCH[1])
 AVAILABILITY, RATED = "gps_availability", "gdop"
 DISTANCE_COLOUR = "#555555"
 # Behind what a colour bar names; others as they are.
@@ -302,6 +303,9 @@ def plot_metric(
             heading += f": {maps.ds[name].attrs['long_name']}"
         note = frame_note(maps, time, has_sky=has_sky, of=name)
         patches = patches[1:]  # all but obstacles
+        is_known = maps.ds["has_data"].values
+        if any(np.isnan(panel.layers[0].values[is_known]).any() for panel in panels):
+            patches = [NO_VALUE_PATCH]
 
     _check_has_values(name, panels)
 

@@ -70,10 +70,11 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
     labels = [time[11:16] for time in table["time"].unique()]  # hours and minutes
     table["x"] = table["time"].factorize()[0]
 
-    # A line for each value, later ones thinner, so that all are seen where they coincide.
+    # A line for each time of day, later ones thinner, so that all are seen where they coincide.
     cost, *no_fix = axes
-    lines = table.groupby("time_of_day", sort=False)
-    for colour, wide_pt, (name, line) in zip(SERIES_COLOURS, WIDTHS_PT, lines, strict=False):
+    for colour, wide_pt, (name, line) in zip(
+        SERIES_COLOURS, WIDTHS_PT, _lines(table), strict=False
+    ):
         above = 100 * line["above_best"]
         changed = line["num_changed"] > 0
         cost.plot(
@@ -108,6 +109,18 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
     panel.set_xticks(range(0, len(labels), step), labels[::step])
     panel.set_xlabel(f"UTC, from {table['time'].iloc[0][:10]}")
     return figure
+
+
+def _lines(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
+    """Return the rows of each time of day with its name; times of day whose lines no eye could part are one."""
+    names: dict[str, list[str]] = {}
+    rows = {}
+    for name, line in table.groupby("time_of_day", sort=False):
+        facts = line.reindex(columns=["x", "above_best", "num_changed", "no_fix_m"])
+        key = facts.round({"above_best": 3, "no_fix_m": 0}).to_csv(index=False)
+        names.setdefault(key, []).append(str(name))
+        rows.setdefault(key, line)
+    return [(" and ".join(names[key]), rows[key]) for key in rows]
 
 
 def _bars(table: pd.DataFrame, num: int, note: str, form: Form) -> Figure:

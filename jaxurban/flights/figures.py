@@ -2,6 +2,7 @@
 
 from typing import Unpack
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from jaxurban.draw.frame import END_LOOK, HALO
@@ -35,7 +36,9 @@ def plot_return(home: ReturnAltitude, **form: Unpack[MapForm]) -> Figure:
     figures = home.figures
     share = precise_percent(figures["clear_share"])
     highest_m = typed_m(figures["highest_m"])
-    text = f"{figures['typed_m']} m clears {share} of the area, {highest_m} m all but what has no value (beige)"
+    text = f"{figures['typed_m']} m clears {share} of the area, {highest_m} m all that has a value"
+    if np.isnan(home.altitude_m).any():
+        text += "; elsewhere no altitude is known to be clear"
     title = wrapped(text, width_in, TEXT_PT)
     panel.set_title(title)
     grow(figure, HEAD_IN * title.count("\n"))  # further lines take no room from the map

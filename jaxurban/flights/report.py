@@ -7,6 +7,7 @@ from typing import Any
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import shapely
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -46,11 +47,11 @@ UNJUDGED: Look = frame.HALO | {
     "label": "not judged from here",
     "zorder": 20,
 }
-HOME: Look = frame.END_LOOK | {"marker": "p", "markersize": 14.0, "label": "home"}
+HOME: Look = frame.END_LOOK | {"marker": "p", "markersize": 20.0, "label": "home"}
 ZONE: Look = {"facecolor": "none", "edgecolor": FOUND_COLOUR, "hatch": "////"}
 LEGEND: tuple[Artist, ...] = (  # in the order of `is_drawn`
     Line2D([], [], **MISSION),
-    Line2D([], [], **HOME),
+    Line2D([], [], **(HOME | {"markersize": 11.0})),
     *frame.ENDS,
     Line2D([], [], **FOUND),
     Line2D([], [], **UNJUDGED),
@@ -167,4 +168,8 @@ def _mark(axes: Axes, x: Any, y: Any) -> None:
     """Mark findings at ``x`` and ``y``, and write their numbers, from 1, beside them; the limits of the axes stay."""
     if len(x):
         axes.plot(x, y, **FOUND)
-    label_apart(axes, map(str, range(1, len(x) + 1)), np.column_stack([x, y]), **NUMBER)
+    # Findings at one place have one mark, with all their numbers.
+    marks = pd.DataFrame({"x": np.asarray(x), "y": np.asarray(y)})
+    marks["number"] = [str(number) for number in range(1, len(marks) + 1)]
+    places = marks.groupby(["x", "y"], sort=False, dropna=False)["number"].agg(", ".join)
+    label_apart(axes, places, np.array([*places.index]).reshape(-1, 2), **NUMBER)

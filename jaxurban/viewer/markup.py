@@ -19,7 +19,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import RouteReport, short
 
 PROFILE_MM = 85.0  # width of a profile, whose letters then are 10 px high on a phone
-PANEL_IN = 1.0  # height of its panels
+PANEL_IN = 1.2  # height of its panels
 DRAWING = Lock()  # the look of figures is set for the whole process while one is drawn
 
 
