@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from jaxurban.draw import frame
 from jaxurban.draw.metrics import roof_layers
 from jaxurban.draw.profile import ALTITUDE_COLOUR
-from jaxurban.draw.style import chart, dress, label_apart, legend_above, styled
+from jaxurban.draw.style import chart, dress, label_apart, legend_above, styled, wrapped
 from jaxurban.draw.write import Figures, Look, Markdown, ResultReport, bullets, plain
 from jaxurban.flights.check_result import MissionCheck
 from jaxurban.knowledge import names_of
@@ -60,6 +60,7 @@ LEGEND: tuple[Artist, ...] = (  # in the order of `is_drawn`
 )
 GAP_M = 10.0  # between steps, which are shorter: nothing is drawn there
 HEIGHT_IN = 3.4
+NUMBERS_IN = 1.2  # width of the numbers of one place, in lines
 
 
 def check_report(result: MissionCheck) -> ResultReport:
@@ -172,4 +173,5 @@ def _mark(axes: Axes, x: Any, y: Any) -> None:
     marks = pd.DataFrame({"x": np.asarray(x), "y": np.asarray(y)})
     marks["number"] = [str(number) for number in range(1, len(marks) + 1)]
     places = marks.groupby(["x", "y"], sort=False, dropna=False)["number"].agg(", ".join)
-    label_apart(axes, places, np.array([*places.index]).reshape(-1, 2), **NUMBER)
+    names = [wrapped(numbers, NUMBERS_IN) for numbers in places]
+    label_apart(axes, names, np.array([*places.index]).reshape(-1, 2), **NUMBER)

@@ -182,7 +182,7 @@ def test_pictures_say_what_they_show():
     }
     ratings = ("Ideal", "Excellent", "Good", "Moderate", "Fair", "Poor")
     frame = ("2020-04-27 16:00 UTC", "100 m cells", "EPSG:32618", "1: GDOP of 1")
-    near, none = "(1: no obstacle within 50 m)", "no people\nin the data"
+    near, none = "(1: no obstacle within 50 m)", "no people, or\nno data of them"
     for figure, said in (
         (
             plotting.plot_metric(maps, "gps", altitude_m=[60.0]),
@@ -363,12 +363,13 @@ def test_paths_of_a_dictionary_are_called_by_its_keys(maps):
 def test_the_cheapest_path_of_a_grid_is_said_to_be_one_of_its_directions(maps):
     path = make_path(maps, "astar")
     graphs = {"8-neighbour grid": True, EVERY_PATH: False, "": False}
+    note = ON_A_GRID.format("astar")
     for graph, is_said in graphs.items():
         best = replace(path, status=Status.OPTIMAL, search=replace(path.search, graph=graph))
         text = texts_of(plotting.plot_paths(maps, best))
-        assert (ON_A_GRID in text.replace("\n", " ")) == is_said
-        assert ("km (best of the 8-neighbour grid)" in text) == is_said
-    assert ON_A_GRID not in texts_of(plotting.plot_paths(maps, path)).replace("\n", " ")
+        assert (note in text.replace("\n", " ")) == is_said
+        assert ("km (best on the grid)" in text) == is_said
+    assert note not in texts_of(plotting.plot_paths(maps, path)).replace("\n", " ")
 
 
 def test_a_picture_fills_a_cell_of_another_figure_under_its_title_and_in_its_colours(maps):

@@ -596,8 +596,18 @@ def test_named_limits_are_findings_or_not_judged(open_scene):
 
 
 def numbers_in(axes, found) -> list[int]:
-    """Return the numbers beside the marks of a picture, once each is checked to be at its finding's place."""
-    marks = {int(text.get_text()): text.xy for text in axes.texts if text.get_text()}
+    """Return the numbers beside the marks of a picture, once each is checked to be at its finding's place.
+
+    Findings at one place have one text, with all their numbers.
+    """
+    places = [tuple(np.round(text.xy, 3)) for text in axes.texts if text.get_text()]
+    assert len(set(places)) == len(places)
+    marks = {
+        int(number): text.xy
+        for text in axes.texts
+        for number in text.get_text().replace("\n", " ").split(", ")
+        if number
+    }
     for number, place in marks.items():
         assert place == pytest.approx(found.iloc[number - 1].tolist(), abs=1e-6)
     return sorted(marks)

@@ -202,6 +202,14 @@ def test_a_strip_shows_the_table(maps, departures):
             )
 
 
+def test_times_of_day_that_are_alike_throughout_are_one_line(maps, departures):
+    alike = departures.table.assign(above_best=0.0, num_changed=0, no_fix_m=5.0)
+    cost, no_fix = plot_when(replace(departures, table=alike), maps).axes
+    assert len(no_fix.lines) == 1
+    names = [text.get_text() for text in cost.get_legend().get_texts()]
+    assert names[0] == " and ".join(maps.times_of_day)
+
+
 def test_times_of_day_of_one_time_are_bars_of_the_cost_from_zero(maps, departures):
     rows = departures.table[departures.table["time"] == maps.times[0]]
     table = rows.assign(no_fix_m=[0.0, 12.0], above_best=[0.0, 0.5], num_changed=[0, 1])

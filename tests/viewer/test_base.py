@@ -179,13 +179,13 @@ def test_the_route_is_never_under_the_report_and_the_fit_follows_the_window(page
 
 
 def written(page) -> list[list]:
-    """Return the level texts on the map when it is drawn again: each text, and its ends in pixels of the page."""
+    """Return the level texts on the map when it is drawn again: each text, its ends and its height in pixels of the page."""
     found = page.evaluate(
         """async () => { const pen = CanvasRenderingContext2D.prototype, write = pen.fillText, found = [];
           pen.fillText = function (text, x, y) {
-            const { a, b, e } = this.getTransform(), { width } = this.measureText(text);
+            const { a, b, e, f } = this.getTransform(), { width } = this.measureText(text);
             const left = e + a * (this.textAlign === 'center' ? x - width / 2 : x);
-            if (b === 0) found.push([String(text), left, left + width]);
+            if (b === 0) found.push([String(text), left, left + width, f + a * y]);
             write.call(this, text, x, y);
           };
           document.querySelector('[name="opacity"]').dispatchEvent(new Event('input'));
@@ -193,8 +193,22 @@ def written(page) -> list[list]:
           pen.fillText = write;
           return found; }"""
     )
-    west = page.locator("canvas").bounding_box()["x"]
-    return [[text, west + left, west + right] for text, left, right in found]
+    box = page.locator("canvas").bounding_box()
+    west, north = box["x"], box["y"]
+    return [[text, west + left, west + right, north + y] for text, left, right, y in found]
+
+
+@pytest.mark.slow
+def test_a_name_that_would_lie_below_the_legend_is_not_written(page):
+    box, canvas = (page.locator(each).bounding_box() for each in ('[data-is="legend"]', "canvas"))
+    (left, right, y), *_ = [place for text, *place in written(page) if text == "Hill"]
+    at = canvas["x"] + canvas["width"] / 2, canvas["y"] + canvas["height"] / 2
+    by = box["x"] + box["width"] / 2 - (left + right) / 2, box["y"] + box["height"] / 2 - y
+    page.mouse.move(*at)
+    page.mouse.down()
+    page.mouse.move(at[0] + by[0], at[1] + by[1], steps=5)
+    page.mouse.up()
+    assert "Hill" not in {text for text, *_ in written(page)}
 
 
 @pytest.mark.slow
@@ -202,14 +216,14 @@ def test_names_stay_inside_the_maps_area_and_labels_of_ends_inside_the_page(page
     west, east = (pixel_of(page, 0, col)[0] for col in (0, GRID.num_cols))
     texts = written(page)
     assert {text for text, *_ in texts} >= {"Hill", "Easternmost Quarter"}
-    assert all(west <= left and right <= east for _, left, right in texts)
+    assert all(west <= left and right <= east for _, left, right, _ in texts)
 
     # Arrows move the map, and with it the goal over the eastern edge of the page.
     plan_between(page)
     canvas = page.locator("canvas").bounding_box()
     edge, seen = canvas["x"] + canvas["width"], []
     for _ in range(20):
-        seen += [right for text, _, right in written(page) if text == "goal"]
+        seen += [right for text, _, right, _ in written(page) if text == "goal"]
         page.keyboard.press("ArrowLeft")
     assert 3 < len(seen) < 20
     assert max(seen) <= edge
