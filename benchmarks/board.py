@@ -49,6 +49,7 @@ TCOD_UNIT, TCOD_STEPS = (
     100,
     (70, 99),
 )  # of cost in whole numbers, and of a straight and a diagonal step
+TITLES = {"grid": "routes by steps between cells", "any-angle": "routes at any angle"}
 GRID, ANY_ANGLE = ("grid", "any-angle"), ("any-angle",)
 
 
@@ -180,9 +181,14 @@ def fitted(folder: Path) -> list[dict[str, str]]:
 @styled
 def picture(board: pd.DataFrame) -> Figure:
     """Return the gap of each method by track and city: a dot at the median, a line to 90 %, an arrow beyond."""
-    note = "Dots: median over the queries; lines: to the gap that 90 % stay below; arrows: beyond the axis."
+    note = (
+        "The bound is what no route can cost less than. Marks: half of the routes cost at most this much more; lines "
+        "reach to what 90 % of them stay below, and arrows beyond the axis."
+    )
     num_rows = max(board[board.track == track].method.nunique() for track in GRID)
-    figure = chart(ROW_IN * num_rows + 0.3, "How much more routes cost than the bound", note)
+    figure = chart(
+        ROW_IN * num_rows + 0.3, "How much more routes cost than the proven bound, by method", note
+    )
     axes = figure.subplots(1, 2, sharex=True)
     for panel, track in zip(axes, GRID, strict=True):
         lines = board[board.track == track]
@@ -197,7 +203,8 @@ def picture(board: pd.DataFrame) -> Figure:
             most = of_city.gap_90.clip(upper=MOST_GAP)
             look = {"color": SERIES_COLOURS[number], "markersize": 4.0}
             panel.hlines(at, 100 * of_city.gap_median, 100 * most, color=look["color"])
-            panel.plot(100 * of_city.gap_median, at, MARKERS[number], label=city, **look)
+            name = city.replace("-", " ").title()
+            panel.plot(100 * of_city.gap_median, at, MARKERS[number], label=name, **look)
             is_beyond = of_city.gap_90 > MOST_GAP
             if is_beyond.any():  # a line without a point would take room at the figure's corner
                 panel.plot(100 * most[is_beyond], at[is_beyond], ">", clip_on=False, **look)
@@ -207,7 +214,11 @@ def picture(board: pd.DataFrame) -> Figure:
             for name, num in failed.items()
         ]
         name_rows(panel, labels)
-        panel.set(title=f"track {track}", xlabel="gap to the bound (%)", xlim=(-1, 100 * MOST_GAP))
+        panel.set(
+            title=f"{TITLES[track]} (track {track})",
+            xlabel="cost above the bound (%), 0 is best",
+            xlim=(-1, 100 * MOST_GAP),
+        )
     letter_all(axes)
     legend_above(axes[0], LIFT)
     return figure
