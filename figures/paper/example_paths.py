@@ -45,6 +45,14 @@ from jaxurban.paths.search import PathSearch
 from jaxurban.planners.registry import SAMPLING_PLANNERS, find_planner
 from jaxurban.world.grid import Grid
 
+NAMES = {  # of the paper; its two A* find one path, which is drawn once
+    "ptp": "PTP",
+    "astar": "A* dist and plus",
+    "astar-dist": "A* dist",
+    "astar-plus": "A* plus",
+    "bitstar-dist": "BIT* dist",
+    "bitstar-plus": "BIT* plus",
+}
 DAY_UP_TO_M = 60.0  # the paper draws day at 20 and 60 m, night above
 # Of BIT*: the pictures repeat exactly, as under a budget in seconds they would not.
 NUM_SAMPLES = 500 if IS_SMALL else 10_000
@@ -170,7 +178,7 @@ def draw(
     ]  # two exact searches of one cost are one
     panels = []
     for case, part, paths in zip(cases, parts, named, strict=True):
-        outcomes = [outcome_line(*each) for each in paths]
+        outcomes = [outcome_line(path, NAMES[name]) for path, name in paths]
         cut = [crop(layer, maps.grid, part) for layer in layers]
         foot = "\n".join(["cost, length:", *outcomes])
         hatched = crop(closed, maps.grid, part).values == 0
@@ -184,7 +192,7 @@ def draw(
         legend.insert(1, ("beyond the\nregion, or\nno data", NO_DATA_COLOUR))
     drawn = [[each for each in paths if each.path.status.has_path] for paths in named]
     colours = planner_colours(each.name for each in chain(*drawn))
-    entries = path_entries(colours, *results)
+    entries = path_entries({NAMES[name]: colours[name] for name in colours}, *results)
     look = {"legend": [*legend, *entries], "colours": layers[0].colours, "has_ticks": False}
     figure, axes = draw_maps(
         parts[0],
@@ -192,7 +200,7 @@ def draw(
         heading,
         joined(
             f"{note}\npreset paper  ·  {rules_said(shared.record)}",
-            grid_said(chain(*named)),
+            grid_said(each._replace(name=NAMES[each.name]) for each in chain(*named)),
             by="\n",
         ),
         **look,
