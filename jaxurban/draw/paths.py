@@ -86,7 +86,9 @@ COST_LABEL = "normalised cost\n(0: best free cell, 1: worst"
 COST_COLOURS = Colours(PALE, Normalize(0, 1), f"{COST_LABEL})")
 SHOWN_SHARES = 0.02, 0.98  # of the free cells that are shown lie below the ends of the scale
 LARGER = 2.0  # than the surroundings of the routes: of larger maps these alone are drawn
-ON_A_GRID = "{}: the cheapest by steps from a cell to its neighbours; at other angles a route may be cheaper."
+ON_A_GRID = (
+    "{}: the best by steps from a cell to its neighbours; at other angles a route may be better."
+)
 MOST_LETTERS = 17  # of a path's name in the legend and below its panel
 STEP_PT = 2.2  # by which a path is wider than the next one, or less
 # Widths of the last of several paths of a panel, which lies over the others, and of the first of many.

@@ -179,7 +179,7 @@ def test_the_route_is_never_under_the_report_and_the_fit_follows_the_window(page
 
 
 def written(page) -> list[list]:
-    """Return the level texts on the map when it is drawn again: each text, its ends and its height in pixels of the page."""
+    """Return the level texts on the map when it is drawn again: each text, its ends and height in pixels."""
     found = page.evaluate(
         """async () => { const pen = CanvasRenderingContext2D.prototype, write = pen.fillText, found = [];
           pen.fillText = function (text, x, y) {
