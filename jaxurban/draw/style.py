@@ -91,7 +91,7 @@ AWAY_PT, BESIDE_PT = (5, 8, 12, 17, 23), 8  # farther away than BESIDE_PT it has
 MARK_PT = 4  # half of a mark's side
 POINTS = "offset points"
 # Spaces at which no line is broken: before a number, its unit, "cells" after it, and the dot between two facts.
-KEPT = re.compile(r"(?<=\S) (?=[%\d]|m\b|cells\b| ·)| (?=·)")
+KEPT = re.compile(r"(?<=\S) (?=[%\d]|k?m\b|cells\b| ·)| (?=·)")
 FIXED_SPACE = "\N{NO-BREAK SPACE}"
 FEWEST_LETTERS = 8  # of a broken line, however narrow its place is
 

@@ -114,7 +114,7 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
 def _lines(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     """Return the rows of each time of day with its name; times of day whose lines no eye could part are one."""
     names: dict[str, list[str]] = {}
-    rows = {}
+    rows: dict[str, pd.DataFrame] = {}
     for name, line in table.groupby("time_of_day", sort=False):
         facts = line.reindex(columns=["x", "above_best", "num_changed", "no_fix_m"])
         key = facts.round({"above_best": 3, "no_fix_m": 0}).to_csv(index=False)
