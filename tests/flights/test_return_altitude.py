@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+from matplotlib.text import Text
 from scipy.ndimage import gaussian_filter
 
 import jaxurban as ju
@@ -109,6 +110,11 @@ def test_no_value_where_the_line_meets_what_is_unknown():
     assert np.isnan(home.altitude_m[20, 30:]).all()
     assert np.isfinite(home.altitude_m[:, :25]).all()
     assert "have no value" in home.cautions[0]
+    texts = [text.get_text() for text in ju.plot.plot_return(home).findobj(Text)]
+    assert "no value" in texts
+    assert any(
+        text.replace("\n", " ").endswith("no altitude is known to be clear") for text in texts
+    )
     with pytest.raises(ju.InputError, match="choose another home"):
         ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(20, 30)))
     with pytest.raises(ju.InputError, match="border"):

@@ -105,6 +105,7 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     np.testing.assert_array_equal(maps.m("roof_guessed"), guessed)
     texts = texts_of(maps)
     assert "(b) height guessed: 50 % of cells with a roof" in texts
+    assert {"no roof", "height known", "height guessed"} <= {*texts}
     assert any(text.startswith("Guessed: 50 % of heights") for text in texts)
 
 

@@ -74,6 +74,9 @@ def test_a_weight_next_to_0_is_decided_drawn_and_not_asked_about(blind):
         line.get_marker(): line.get_xdata() for line in axes.lines if line.get_marker() in "o<"
     }
     assert drawn["<"] == pytest.approx([row.high])
+    assert "triangle: the weight is 0, and at most this" in axes.get_xlabel()
+    weighed = replace(blind, table=blind.table.assign(weight=0.2))
+    assert "triangle" not in plot_weights(weighed).axes[0].get_xlabel()
     assert axes.get_yticklabels()[2].get_text() == "lidar, per 5 m flown"
     none_asks = replace(blind, tested=Interval(0.0, 0.0, 0.0), num_tested=8)
     assert none_asks.decided.next_command.startswith("jaxurban plan")
