@@ -113,14 +113,12 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
 
 def _lines(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     """Return the rows of each time of day with its name; times of day whose lines no eye could part are one."""
-    names: dict[str, list[str]] = {}
-    rows: dict[str, pd.DataFrame] = {}
+    lines: dict[str, tuple[list[str], pd.DataFrame]] = {}
     for name, line in table.groupby("time_of_day", sort=False):
         facts = line.reindex(columns=["x", "above_best", "num_changed", "no_fix_m"])
-        key = facts.round({"above_best": 3, "no_fix_m": 0}).to_csv(index=False)
-        names.setdefault(key, []).append(str(name))
-        rows.setdefault(key, line)
-    return [(" and ".join(names[key]), rows[key]) for key in rows]
+        names, _ = lines.setdefault(facts.round(3).to_csv(index=False), ([], line))
+        names.append(str(name))
+    return [(" and ".join(names), line) for names, line in lines.values()]
 
 
 def _bars(table: pd.DataFrame, num: int, note: str, form: Form) -> Figure:

@@ -7,7 +7,6 @@ from typing import Any
 
 import geopandas as gpd
 import numpy as np
-import pandas as pd
 import shapely
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -170,8 +169,8 @@ def _mark(axes: Axes, x: Any, y: Any) -> None:
     if len(x):
         axes.plot(x, y, **FOUND)
     # Findings at one place have one mark, with all their numbers.
-    marks = pd.DataFrame({"x": np.asarray(x), "y": np.asarray(y)})
-    marks["number"] = [str(number) for number in range(1, len(marks) + 1)]
-    places = marks.groupby(["x", "y"], sort=False, dropna=False)["number"].agg(", ".join)
-    names = [wrapped(numbers, NUMBERS_IN) for numbers in places]
-    label_apart(axes, names, np.array([*places.index]).reshape(-1, 2), **NUMBER)
+    numbers_at: dict[tuple[float, float], list[str]] = {}
+    for number, place in enumerate(zip(x, y, strict=True), 1):
+        numbers_at.setdefault(place, []).append(str(number))
+    names = [wrapped(", ".join(numbers), NUMBERS_IN) for numbers in numbers_at.values()]
+    label_apart(axes, names, np.array([*numbers_at]).reshape(-1, 2), **NUMBER)
