@@ -124,9 +124,8 @@ def plot_profile(
         for cut_m in report.segments["from_m"].iloc[1:]:
             panel.axvline(cut_m / 1000, color=FAINT_INK, linewidth=0.4, linestyle=":", zorder=0)
         dress(panel)
-        panel.spines["right"].set_visible(
-            True
-        )  # where the route ends, else the picture looks cut off
+        # A line where the route ends, else the picture looks cut off.
+        panel.spines["right"].set_visible(True)
         if panel.get_legend_handles_labels()[0]:
             legend_above(panel, LIFT if panel is heights else 0.0)
     figure.align_ylabels(axes)
