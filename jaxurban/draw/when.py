@@ -72,9 +72,9 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
 
     # A line for each time of day, later ones thinner, so that all are seen where they coincide.
     cost, *no_fix = axes
-    for colour, wide_pt, (name, line) in zip(
-        SERIES_COLOURS, WIDTHS_PT, _lines(table), strict=False
-    ):
+    lines = _lines(table)
+    widths_pt = WIDTHS_PT[len(lines) == 1 :]  # a line alone hides none
+    for colour, wide_pt, (name, line) in zip(SERIES_COLOURS, widths_pt, lines, strict=False):
         above = 100 * line["above_best"]
         changed = line["num_changed"] > 0
         cost.plot(
