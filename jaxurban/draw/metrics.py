@@ -259,6 +259,7 @@ def plot_metric(
 
     Examples:
       >>> figure = ju.plot.plot_metric(maps, "gps", altitude_m=[20.0, 60.0], cmap="cividis")
+      >>> route = figure.axes[0].plot(*path.xy_m.T)  # axes are in metres, as routes are
       >>> figure.savefig("gps.png")
     """
     maps = as_maps(maps)
