@@ -90,7 +90,11 @@ def study_command(
     from jaxurban.maps.provenance import finished
     from jaxurban.maps.run import run_scenario
     from jaxurban.paths.rows import MapsFolder
-    from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
+    from jaxurban.studies.montecarlo.sampling import (
+        read_instances,
+        sample_instances,
+        weights_setting,
+    )
     from jaxurban.studies.montecarlo.study import land_cover_of, study, without_sampling
 
     settings = scenario.study
@@ -132,6 +136,9 @@ def study_command(
     # Where the queries are those of a file, further ones are drawn, for a study of its own.
     own = shlex.quote(f"{folder}-more" if instances_file else str(folder))
     typed = again("-o", "--instances", "--set study.instances")
+    weights = weights_setting(instances)
+    if instances_file and weights:
+        typed += f" --set {shlex.quote(weights)}"
     of_sampling = (f"--set {name}" for name in fixed)
     wider = f"{again('-o', '--instances', *of_sampling)} -o {shlex.quote(f'{folder}-wider')}"
     result = replace(result, again=f"{typed} -o {own}", wider=wider)

@@ -7,6 +7,7 @@ import shapely
 from scipy.ndimage import label
 
 from jaxurban.io.tables import write_table
+from jaxurban.maps.scenario_files import read_scenario
 from jaxurban.metrics.weights import Weights
 from jaxurban.studies.montecarlo import sampling
 from jaxurban.studies.montecarlo.sampling import STRATA, read_instances, sample_instances, strata_of
@@ -34,6 +35,16 @@ def test_the_same_seed_gives_the_same_instances_and_more_of_them_begin_alike(map
     few = sample_instances(maps, 20, seed=3)
     pd.testing.assert_frame_equal(few, instances[instances.instance < 20].reset_index(drop=True))
     assert not few.equals(sample_instances(maps, 20, seed=4))
+
+
+def test_further_instances_are_drawn_with_the_weights_that_a_file_has(maps, instances, tmp_path):
+    assert sampling.weights_setting(instances) == ""  # each has its own, drawn
+    few = sample_instances(maps, 12, seed=3, weights=[Weights(gps=3.0), Weights(risk=2.0)])
+    setting = sampling.weights_setting(few)
+    assert setting.startswith("study.weights=[{distance = 0.1, gps = 3, ")
+    file = tmp_path / "city.toml"
+    file.write_text('[region]\n[buildings]\nsource = "sample:lower-manhattan"\n')
+    assert [each.risk for each in read_scenario(file, [setting]).study.weights] == [1.0, 2.0]
 
 
 def test_places_are_free_at_every_altitude_and_the_same_at_each(maps, instances):

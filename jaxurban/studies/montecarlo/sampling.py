@@ -37,6 +37,7 @@ BUILT_SHARE = 0.1  # of the square's cells
 HIGH_RISE_M = 35.0  # roofs from here up are high-rise buildings (Emporis' definition)
 NO_STRATUM = -1
 DIRICHLET = "dirichlet"
+MOST_WEIGHTS = 3  # of instances that a command names
 NUM_DOUBLINGS = 5  # of the pairs drawn, until so many are joined as are wanted
 # Starts, and goals for each, before a kind of instance is passed over.
 NUM_TRIES, NUM_GOALS = 200, 256
@@ -540,3 +541,19 @@ def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
                 f"the instances have a weight of {name}, of which these maps hold no layer: set {WEIGHT_PREFIX}{name} "
                 "to 0, or use maps with the layer"
             )
+
+
+def weights_setting(instances: pd.DataFrame) -> str:
+    """Return the weights of instances as ``--set`` takes those that further ones are drawn with.
+
+    Empty where there are more than `MOST_WEIGHTS`, as drawn ones are.
+    """
+    columns = instances.filter(regex=f"^{WEIGHT_PREFIX}").drop_duplicates()
+    if len(columns) > MOST_WEIGHTS or columns.empty:
+        return ""
+    columns.columns = columns.columns.str.removeprefix(WEIGHT_PREFIX)
+    tables = []
+    for weights in columns.to_dict("records"):
+        values = ", ".join(f"{name} = {value:.6g}" for name, value in weights.items())
+        tables.append(f"{{{values}}}")
+    return f"study.weights=[{', '.join(tables)}]"

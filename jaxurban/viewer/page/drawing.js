@@ -36,7 +36,8 @@ function baseMap({ shapes, names }) {
   });
   const write = (pen, toPixel, scale, [west, north, east, south], ends, routes, covers) => { // inside these; those in
     const boxes = (places, ...reach) => places.map(toPixel).map(at => [...at, ...reach]); // front come first, none
-    const taken = [...boxes(ends, 46, 10), ...boxes(routes, 0, 0), ...covers], most = taken.length + 60; // over another or a route
+    const taken = [...boxes(ends, 46, 10), ...boxes(routes, 0, 0), ...covers]; // over another, a route or a control
+    const most = taken.length + 60;
     for (const [x, y, text, kind, angle, metres] of names) {
       const [middle, top] = toPixel([x, y]), coarsest = KINDS[kind]?.most ?? Infinity;
       if (taken.length > most) return;
