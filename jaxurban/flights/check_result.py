@@ -33,8 +33,8 @@ NUMBERS = {  # of `MissionCheck.figures`, in words; one that is missing leaves i
     "no fix": "{no_fix_by_time_m}{fix_unknown_m}",
     "people overflown": "{people_overflown:,.0f}{people_unknown_m}",
     "densest kilometre": "{densest_km_people:,.0f} people, from {densest_km_from_m:,.0f} m on",
-    "nearest obstacle": "{nearest_wall_m:,.1f} m away, by cells",
-    "lowest over roofs": "{least_over_roofs_m:,.1f} m, by cells",
+    "nearest obstacle": "{nearest_wall_m:,.1f} m away, by whole cells of {cell_m:g} m, which reach beyond outlines",
+    "lowest over roofs": "{least_over_roofs_m:,.1f} m, by the same cells",
 }
 
 
@@ -124,7 +124,11 @@ class MissionCheck(Result):
         """The figures in words, by what they are about, such as ``"no fix"``."""
         by_time = self.figures.get("no_fix_by_time_m", {})
         lost = [f"{lost_m:,.0f} m at {time_said(time)}" for time, lost_m in by_time.items()]
-        texts = {**self.figures, "no_fix_by_time_m": ", ".join(lost)}
+        texts = {
+            **self.figures,
+            "no_fix_by_time_m": ", ".join(lost),
+            "cell_m": self.maps.grid.resolution_m,
+        }
         for name in {"fix_unknown_m", "people_unknown_m"} & texts.keys():
             unknown_m = round(texts[name])
             texts[name] = f"; not known on {unknown_m:,} m" if unknown_m else ""
