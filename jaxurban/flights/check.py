@@ -388,7 +388,10 @@ def _against_maxima(
         if name not in figures:
             reason = "the maps do not hold them"
         elif value > limit:
-            what = f"{value:,.0f} {unit}; the limit is {limit:g}"
+            shown = f"{value:,.0f}"
+            if round(value) <= limit:  # as of a quarter of a person beside a limit of 0
+                shown = f"{value:.3g}"
+            what = f"{shown} {unit}; the limit is {limit:g}"
             from_m = figures[f"{stretch}_from_m"]
             step = np.searchsorted(steps.along_m[:, 0], from_m)
             rows.append((what, value - limit, step, from_m, figures[f"{stretch}_to_m"]))

@@ -594,6 +594,8 @@ def test_named_limits_are_findings_or_not_judged(open_scene):
     unsure = checked(open_scene, mission, time=OFF, max_no_fix_m=lost_m + 10)
     assert (unsure.state, kinds_of(unsure)) == ("not-judged", [])
     assert kinds_of(checked(open_scene, mission, time=OFF, max_people=people - 1)) == ["limit"]
+    hardly = checked(open_scene, mission, time=OFF, max_people=people - 1e-3)
+    assert hardly.findings["what"].item().startswith(f"{people:.3g} people overflown")
 
 
 def numbers_in(axes, found) -> list[int]:
