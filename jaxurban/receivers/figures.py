@@ -122,8 +122,8 @@ def draw_horizon(panel: PolarAxes, horizon_deg: np.ndarray) -> None:
     panel.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
     panel.tick_params(pad=-3)
     panel.set_yticks([90 - elevation for elevation in RINGS_DEG], ["", ""])
-    rings = " and ".join(f"{elevation}°" for elevation in RINGS_DEG)
-    panel.plot([], [], color="#b0b0b0", linewidth=0.8, label=f"circles: {rings} up")
+    rings = ", ".join(f"{elevation}°" for elevation in RINGS_DEG)
+    panel.plot([], [], color="#b0b0b0", linewidth=0.8, label=f"rings: {rings}")
 
     # The roofs, once around the sky: the first degree stands again at the end.
     around = np.radians(np.arange(361))

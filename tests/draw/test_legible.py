@@ -80,7 +80,7 @@ def test_the_sky_over_a_place_can_be_read(here, width, num, name):
     rows = crowded(num, name).assign(time=here.times[0])
     figure = plot_sky(replace(here, table=rows), width=width)
     (panel,) = figure.axes
-    assert "circles: 60° and 30° up" in panel.get_legend_handles_labels()[1]
+    assert "rings: 60°, 30°" in panel.get_legend_handles_labels()[1]
     assert covered(panel, assert_legible(figure), sky_places(rows)) == []
     assert panel.get_window_extent().width > 0.5 * figure.bbox.width
     assert width == "column" or len({text.get_text() for text in panel.texts} - {""}) == num

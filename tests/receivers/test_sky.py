@@ -322,7 +322,7 @@ def test_the_picture_fills_the_horizon_and_names_every_satellite():
     names = {text.get_text().removesuffix(" ✕") for text in panel.texts}
     assert names == {name.removesuffix(" (nominal)").split()[-1] for name in now["satellite"]}
     labels = panel.get_legend_handles_labels()[1]
-    assert labels == ["circles: 60° and 30° up", "buildings", "GPS, seen", "GPS, hidden ✕"]
+    assert labels == ["rings: 60°, 30°", "buildings", "GPS, seen", "GPS, hidden ✕"]
     with pytest.raises(ju.InputError, match=r"time must be .* or "):
         plot_sky(here, "2020-04-27T18:00:00Z")
 
