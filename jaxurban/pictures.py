@@ -10,7 +10,8 @@ class Form(TypedDict, total=False):
       width: ``"column"`` or ``"page"`` of a journal (88.9 or 182 mm), or millimetres; left out, a page.
       ax: a cell of another Matplotlib figure (``plt.subplots``), in place of which the picture stands; what is returned
         is that part of the figure. A cell below 5.5 inches holds a map without its legend and its note:
-        what is guessed and whom to credit (`jaxurban.cite`) is then for a caption.
+        what is guessed and whom to credit (`jaxurban.cite`) is then for a caption. ``ax`` itself is gone, so that a
+        title is given by ``title``.
       title: in place of the picture's own; empty for none.
     """
 

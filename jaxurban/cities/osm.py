@@ -412,26 +412,19 @@ def _file(path: str | Path) -> osmium.io.File:
     return osmium.io.File(str(path), "pbf" if sniff(path) == ".pbf" else "osm")
 
 
-def open_osm(path: str | Path, *handlers: Any) -> osmium.FileProcessor:
+def open_osm(path: str | Path) -> osmium.FileProcessor:
     """Return a processor that knows every node's place when a way comes by, even if the nodes follow the ways.
 
     In XML, as the Overpass API writes it, they may, in any order; its nodes are read before. PBF files are sorted.
-
-    Args:
-      path: of the file.
-      handlers: filters of nodes and what is called for those that pass, before the processor begins.
     """
     file = _file(path)
     locations: Any  # the package's own annotation says str
     if sniff(path) == ".pbf":
         locations = osmium.index.create_map("flex_mem")
-        before = handlers
     else:
         locations = osmium.index.create_map("sparse_mem_map")  # of nodes in any order
-        before = osmium.NodeLocationsForWays(locations), *handlers
-    if before:
         with osmium.io.Reader(file, osmium.osm.NODE) as reader:
-            osmium.apply(reader, *before)
+            osmium.apply(reader, osmium.NodeLocationsForWays(locations))
     return osmium.FileProcessor(file).with_locations(locations)
 
 

@@ -6,7 +6,6 @@ import string
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial, wraps
 from io import BytesIO
 from itertools import product
 from pathlib import Path
@@ -121,19 +120,8 @@ class Picture(Hints, Figure):
 
 
 def drawing(draw: Drawing) -> Drawing:
-    """Return a public function that draws: in the look of our figures, and its arguments are checked (`typed`).
-
-    A title that the user gives a panel afterwards takes the place of its own.
-    """
-
-    @wraps(draw)
-    def drawn(*args: Any, **kwargs: Any) -> Any:
-        figure = styled(draw)(*args, **kwargs)
-        for panel in figure.axes:
-            vars(panel)["set_title"] = partial(panel.set_title, loc="left")
-        return figure
-
-    return typed(drawn)  # type: ignore[return-value]
+    """Return a public function that draws: in the look of our figures, and its arguments are checked (`typed`)."""
+    return typed(styled(draw))
 
 
 def inches(width: Width) -> float:
@@ -200,11 +188,7 @@ def chart(height_in: float, heading: str, note: str = "", **form: Unpack[Form]) 
     else:
         figure = _in_place_of(ax)
     look = {"x": EDGE_IN / width_in, "ha": "left"}  # x is a share of the figure's width
-    title_text = figure.suptitle(head, size=HEADING_PT, weight="bold", color=INK, **look)
-    if (
-        ax is not None
-    ):  # a title that the user gives the cell afterwards is that of the part in its place
-        vars(ax)["set_title"] = lambda label, **look: title_text.set(text=label, **look)
+    figure.suptitle(head, size=HEADING_PT, weight="bold", color=INK, **look)
     if foot:
         figure.supxlabel(foot, size=SMALL_PT, color=FAINT_INK, **look)
     return figure

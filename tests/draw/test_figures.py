@@ -388,16 +388,6 @@ def test_a_picture_fills_a_cell_of_another_figure_under_its_title_and_in_its_col
     plt.close(whole)
 
 
-def test_a_title_that_the_user_sets_afterwards_takes_the_place_of_ours(maps):
-    _, (left, _) = plt.subplots(1, 2, figsize=(12, 7))
-    part = maps.plot("gps", 20.0, ax=left)
-    left.set_title("Mine", color="red")
-    assert part.get_suptitle() == "Mine"
-    part.axes[0].set_title("Also mine")
-    assert [part.axes[0].get_title(loc=side) for side in ("left", "center")] == ["Also mine", ""]
-    plt.close("all")
-
-
 def test_in_a_small_cell_a_map_still_says_that_it_rests_on_guesses():
     maps = make_maps()
     maps.ds.attrs |= attribute(heights(0.03))

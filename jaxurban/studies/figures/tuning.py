@@ -60,7 +60,9 @@ def plot_weights(fit: WeightFit, **form: Unpack[Form]) -> Figure:
         row = table.loc[[name]]
         dots(panel, np.array([place]), row, "weight", color=line_colour(name), marker=marker)
     # What the marks mean that are drawn.
-    marks = ["dot: the fitted weight", "bar: its interval; one that leaves the axis reaches 0"]
+    marks = ["dot: the fitted weight", "bar: its interval"]
+    if (table.weight_low <= 0).any():
+        marks.append("bar to the edge: reaches 0")
     if (is_0 & ~is_open & (drawn > 0)).any():
         marks.append("triangle: the weight is 0, and at most this")
     pilot = table.pilot.where(table.pilot > 0)
