@@ -58,6 +58,10 @@ class WeightVerdict(Enum):
         "{what} act together by {size}: so much more they cost, both {wrong:g} times wrong, in opposite directions "
         "than in the same one ({n})"
     )
+    TOGETHER_OPEN = (
+        "whether {what} act together is open: both {wrong:g} times wrong, they cost {size} more in opposite directions "
+        "than in the same one ({n})"
+    )
     NOT_TOGETHER = "whether weights act together, which was not looked at"
     ONE_ROUTE = "whether other routes change at these factors, which one route cannot say"
 
@@ -184,9 +188,10 @@ def together_verdicts(table: pd.DataFrame, settings: SensitivitySettings) -> Ite
     rows: Any = shown.itertuples()
     for row in rows:
         needed = row.needed if row.n > 1 else math.nan
+        kind = WeightVerdict.TOGETHER_OPEN if needed else WeightVerdict.TOGETHER
         about = row.size, row.low, row.high, row.n, OF_COST, PAIRS, needed
         facts = {"wrong": settings.wrong}
-        yield Verdict(WeightVerdict.TOGETHER, tuple(row.weights.split(",")), *about, facts)
+        yield Verdict(kind, tuple(row.weights.split(",")), *about, facts)
 
 
 def on_other_maps(row: Mapping[Any, Any]) -> Verdict:
