@@ -193,21 +193,27 @@ def command_to_plan(query: RouteQuery, weights: Weights) -> str:
     )
 
 
-def command_to_vary(query: RouteQuery, weights: Weights, folder: str) -> str:
+def command_to_vary(
+    query: RouteQuery, weights: Weights, folder: str, is_length_open: bool = False
+) -> str:
     """Return the command that says whether routes change where weights are wrong; empty where no metric has a weight.
 
     Args:
       query: of whose maps and altitude.
       weights: the metrics' and the distance's.
       folder: that the study is kept in.
+      is_length_open: the weight of the distance varies too, which else is the unit of the others.
     """
     cost_map = query.cost_map
     maps = cost_map.maps
     if not any(weights[name] for name in cost_map.names):
         return ""
+    vary = ""
+    if is_length_open:
+        vary = f"--vary {','.join(name for name in cost_map.weight_names if weights[name])} "
     return (
         f"jaxurban sensitivity {maps.folder or 'DIR'} --resolution {maps.grid.resolution_m:g} "
-        f"--altitude {cost_map.altitude_m:g} {preset_option(cost_map)}"
+        f"--altitude {cost_map.altitude_m:g} {preset_option(cost_map)}{vary}"
         f"--weights {weights_option(weights, maps.metrics)} -o {folder} --routes 30"
     )
 

@@ -142,6 +142,16 @@ def test_no_command_asks_about_what_no_routes_decide(blind):
     again = replace(fit, verdicts=(wide,), table=table).decided.next_command
     assert again.startswith("jaxurban sensitivity")
     assert "lidar=0.5," in again  # at 0 it would change nothing
+    table.loc["lidar", "weight"] = 0.04  # 10 times it is less than 0.5
+    faint = replace(fit, verdicts=(wide,), table=table)
+    assert "lidar=0.5," in faint.decided.next_command
+    assert "--vary" not in faint.decided.next_command
+    table.loc["lidar", "weight"] = 0.06
+    both = replace(wide, what=("distance",))
+    again = replace(fit, verdicts=(wide, both), table=table).decided.next_command
+    assert "lidar=0.06," in again
+    assert "--vary distance,gps,lidar,population,risk " in again  # the length is open too
+    table.loc["lidar", "weight"] = 0.0
     wide = replace(wide, what=("risk",))
     small = Verdict(FitVerdict.AT_MOST, ("lidar",), 0.0, 0.0, 0.01)
     again = replace(fit, verdicts=(small, wide), table=table).decided.next_command

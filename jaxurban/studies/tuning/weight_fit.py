@@ -43,6 +43,7 @@ from jaxurban.studies.tuning.weight_fit_rounds import (
     run_rounds,
     searched_regret,
 )
+from jaxurban.studies.weights.settings import SensitivitySettings
 
 # Demonstrations above it on average are not optimal under any weights. Of lines that were redrawn, what redrawing adds
 # is left out first; among routes at any angle another one is the cheapest than on the grid, by less than the second.
@@ -168,14 +169,17 @@ class WeightFit(FitResult):
         verdicts += self.verdicts
 
         # Where no further fit decides more: whether what is open matters to routes, unless nothing can say it. An open
-        # weight of 0 is asked about at the other end of its interval.
+        # weight whose interval reaches further up than the factors of that study do is asked about at the upper end.
         if not command and not all(each.needed in (0, np.inf) for each in verdicts):
             query = self.queries[0]
             folder = self.commands.folder or str(query.cost_map.maps.folder or "DIR")
-            is_open_at_0 = (self.table.index.map(judged) != 0) & (self.table.weight == 0)
-            asked = self.table.weight.mask(is_open_at_0, self.table.high.fillna(0.0))
+            is_open = self.table.index.map(judged) != 0  # NaN of what further fits do not decide
+            reached = self.table.weight * SensitivitySettings().factors[1]
+            is_beyond = is_open & np.isfinite(self.table.high) & (reached < self.table.high)
+            asked = self.table.weight.mask(is_beyond, self.table.high)
             weights = weights_from(query, asked.to_numpy())
-            command = command_to_vary(query, weights, f"{folder}-weights")
+            is_length_open = judged.get("distance", 0.0) != 0
+            command = command_to_vary(query, weights, f"{folder}-weights", is_length_open)
         return Conclusion((*verdicts, *self.border), command or self.last_command)
 
     @property
