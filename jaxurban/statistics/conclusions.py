@@ -98,7 +98,7 @@ class Verdict:
         sentence = self.finding
         if self.is_decided or math.isnan(self.needed):
             return sentence
-        if math.isinf(self.needed) and self.kind is SharedVerdict.EQUAL:
+        if math.isinf(self.needed) and self.size == 0 and not self.high > 0:  # the same on all
             most = 100 * (1 - (1 - LEVEL) ** (1 / self.n))
             return f"{sentence}; of all such {self.noun} at most {most:.0f} % differ"
         if math.isinf(self.needed):

@@ -68,7 +68,12 @@ def test_what_is_equal_is_one_and_what_is_worse_is_behind_and_ties_share_a_rank(
     most = 100 * (
         1 - 0.05 ** (1 / equal.n)
     )  # by which none of so many differs once in twenty times
-    assert equal.sentence.endswith(f"; of all such routes at most {most:.0f} % differ")
+    differ = f"; of all such routes at most {most:.0f} % differ"
+    assert equal.sentence.endswith(differ)
+    none = Verdict(Kind.MORE, ("a", "b"), 0.0, 0.0, 0.0, equal.n, needed=math.inf)
+    assert none.sentence.endswith(differ)  # 0 on all
+    scattered = Verdict(Kind.MORE, ("a", "b"), 0.0, -1.0, 1.0, equal.n, needed=math.inf)
+    assert scattered.sentence.endswith("; no number of routes would change that")
 
 
 def test_of_fewer_runs_than_have_an_interval_nothing_is_decided():
