@@ -75,6 +75,9 @@ def test_a_weight_next_to_0_is_decided_drawn_and_not_asked_about(blind):
     }
     assert drawn["<"] == pytest.approx([row.high])
     assert "triangle: the weight is 0, and at most this" in axes.get_xlabel()
+    alike = blind.table.assign(weight=1.0, low=0.0, high=0.8)
+    least, most = plot_weights(replace(blind, table=alike)).axes[0].get_xlim()
+    assert least <= most / 10  # bars that reach 0 are long
     weighed = replace(blind, table=blind.table.assign(weight=0.2))
     assert "triangle" not in plot_weights(weighed).axes[0].get_xlabel()
     assert axes.get_yticklabels()[2].get_text() == "lidar, per 5 m flown"

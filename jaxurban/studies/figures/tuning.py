@@ -69,7 +69,12 @@ def plot_weights(fit: WeightFit, **form: Unpack[Form]) -> Figure:
     if pilot.notna().any():
         panel.scatter(pilot, range(len(table)), marker="x", color=PILOT_COLOUR, zorder=3)
         marks.append("cross: the pilot's weight")
-    panel.set(xscale="log", xlabel="\n".join(["weight, of a sum of 1", *marks]))
+    # A bar that reaches 0 is cut off a decade below at the nearest, so that it does not look short.
+    panel.set(xscale="log")
+    least, most = panel.get_xlim()
+    panel.set(
+        xlim=(min(least, most / 10), most), xlabel="\n".join(["weight, of a sum of 1", *marks])
+    )
     show_plain_log(panel.xaxis)
     name_rows(panel, (table.index + ", " + table.unit).to_list())
     return figure
