@@ -397,6 +397,14 @@ def test_wider_maps_come_next_with_the_same_routes_of_each_city(weight_study):
     assert "--altitude" not in studies  # which the table names
     assert "--weights" not in studies
 
+    # Where nothing is open other routes come next, as many as were studied.
+    table = pinned.instances
+    more = [table.assign(instance=table.instance + 100 * turn) for turn in range(9)]
+    settled = replace(pinned, rows=pinned.rows.assign(at_edge=0.0), instances=pd.concat(more))
+    num = settled.instances.query("city == 'alpha'").instance.nunique()
+    assert num > 30
+    assert f" --routes {num} --study seed=" in settled.decided.next_command
+
 
 def test_only_layers_that_differ_at_another_time_of_day_are_named_and_alike_times_are_no_change(
     alpha,

@@ -71,7 +71,7 @@ GIVEN = (
     "means are over them, each once, and say nothing about others."
 )
 MOST_REASONS = 3
-MORE_ROUTES = 30  # to ask for after one
+MORE_ROUTES = 30  # to ask for after one, and at least
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -173,8 +173,10 @@ class Sensitivity(StudyResult):
             under += f"--weights {weights_option(weights, metrics)} "
         place = f"-o {self.folder or 'out/sensitivity'}"
         command = f"jaxurban sensitivity {folders} {options}{under}{place}-more --routes"
-        others = f"{command} {MORE_ROUTES}"
-        if self.is_sampled:  # other routes than these
+        # Other routes than these, in each city as many as it has here: fewer would decide less.
+        num_pairs = int(self.instances.groupby("city").instance.nunique().max())
+        others = f"{command} {max(MORE_ROUTES, num_pairs)}"
+        if self.is_sampled:
             others += f" --study seed={self.settings.seed + 1}"
 
         # The only route without a path, higher up.
