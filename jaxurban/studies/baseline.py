@@ -23,6 +23,10 @@ class BaselineVerdict(Enum):
         "routes under these weights have {size} less exposure (what all metrics cost along them) than those of "
         "distance alone, the baseline ({n}); flown more, on average: {paid}"
     )
+    LESS_OPEN = (
+        "whether routes under these weights have less exposure (what all metrics cost along them) than those of "
+        "distance alone, the baseline, is open: {size} ({n}); flown more, on average: {paid}"
+    )
 
 
 def baseline_verdicts(
@@ -49,7 +53,8 @@ def baseline_verdicts(
     known = [name for name in AMOUNTS if name in routes]
     more = {f"more_{name}": routes[name] - routes[SHORTEST + name] for name in known}
     facts = {"paid": paid_on_average(pd.DataFrame(more), clusters)}
-    yield Verdict(BaselineVerdict.LESS, (), size, low, high, int(num), "%", noun, needed, facts)
+    kind = BaselineVerdict.LESS_OPEN if needed else BaselineVerdict.LESS
+    yield Verdict(kind, (), size, low, high, int(num), "%", noun, needed, facts)
 
 
 def baseline_said(decided: Conclusion) -> str:

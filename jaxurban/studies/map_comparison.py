@@ -55,14 +55,14 @@ class MapVerdict(Enum):
         "{count:,} of A's {n}, {size}, are closed on B or cost over {same:g} % more there than B's own ({where}), and "
         "these are up to {apart_m:,.0f} m away; B closes {closed:,} of A's, and {lost:,} have no way on B"
     )
-    KEPT = "A route of A that B leaves open costs {size} more on B than B's own ({n})"
-    KEPT_OPEN = "Whether a route of A costs more on B than B's own is open: {size} ({n})"
-    NO_ROUTES = "Whether routes change: none were planned"
+    KEPT = "routes of A that B leaves open cost {size} more on B than B's own, on average ({n})"
+    KEPT_OPEN = "whether routes of A cost more on B than B's own, on average, is open: {size} ({n})"
+    NO_ROUTES = "whether routes change: none were planned"
     ONE_TIME = (
-        "How much of it is of this one time, {time}, where a single satellite that rises or sets may make all of it: "
+        "how much of it is of this one time, {time}, where a single satellite that rises or sets may make all of it: "
         "maps of further times show it ([gps] times)"
     )
-    GUESSES = "How much of it comes of what they guess differently (A: {of_a}; B: {of_b})"
+    GUESSES = "how much of it comes of what they guess differently (A: {of_a}; B: {of_b})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

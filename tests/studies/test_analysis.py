@@ -199,6 +199,9 @@ def test_cheapest_paths_are_set_beside_the_baseline_of_distance_alone(table):
     assert "have 54.5 % (54.5 to 54.5) less exposure" in verdict.sentence
     assert "distance alone, the baseline (10 instances" in verdict.sentence
     assert "flown more, on average: 20.0 m of way (20.0 to 20.0)" in verdict.sentence
+    (few,) = analysis.beside_baseline(table[table.instance < 5], instances)
+    assert not few.is_decided
+    assert few.sentence.startswith("whether routes under these weights have less exposure")
     weighted = table[table.objective == "weighted"]
     assert analysis.beside_baseline(weighted, instances) == []
     by_other = table.assign(planner=table.planner.mask(table.objective == "distance", "astar-dist"))

@@ -45,7 +45,7 @@ def test_the_folder_holds_report_tables_maps_and_figures(found, saved):
         assert f"| {row.higher} | {row.lower} | 0 | 0 |" in report
     first, second, third = report.split("\n\n")[1].splitlines()
     assert first.startswith("- **Decided**: B ")
-    assert second.startswith("- **Not decided**: Whether routes change")
+    assert second.startswith("- **Not decided**: whether routes change")
     assert third == "- **Next**: `ju.studies.compare(A, B, routes=40)`"
     assert "e-0" not in report
     with pytest.raises(ju.InputError, match="holds another run") as refused:
