@@ -193,6 +193,7 @@ def test_the_report_says_that_routes_were_given_and_how_each_city_normalises_pop
     alpha = ju.MetricMaps(weight_study.maps["alpha"].ds.assign_attrs(pop_norm_per_km2=[5e4, 3e4]))
     maps = {**weight_study.maps, "alpha": alpha}
     report = sensitivity_report(replace(weight_study, is_sampled=False, maps=maps)).text
+    assert "0.1 to 10, and where fewer routes change, the nearer end of these stands." in report
     assert "drawn by stratum" not in report
     assert "those that were given" in report
     alpha, beta = report.split("\n\n")[2].splitlines()[2:]
