@@ -18,7 +18,6 @@ from jaxurban.checks import at_least, one_of, typed
 from jaxurban.io.files import read_json
 from jaxurban.io.stored import RUN_FILE
 from jaxurban.io.workspace import Differing, differing
-from jaxurban.knowledge import names_of
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.shared import paired_times, shared_part
 from jaxurban.metrics.base import ALTITUDE
@@ -198,7 +197,7 @@ class MapComparison(StudyResult):
         cause = "B"
         if len(self.settings) == 1:
             ((key, (of_a, of_b)),) = self.settings.items()
-            cause = f"{key} {of_b} instead of {of_a}"
+            cause = f"{key} {setting_said(of_b)} instead of {setting_said(of_a)}"
 
         means = []
         for name in self.a.metrics:
@@ -251,9 +250,15 @@ class MapComparison(StudyResult):
         """Yield that sets that differ rest on other guesses, such as how far their rays stay within the data."""
         of_a, of_b = self.a.guesses, self.b.guesses
         if of_a != of_b and self.table[["higher", "lower"]].any(axis=None):
+            own_a = [each.name for each in of_a if each not in of_b]
+            own_b = [
+                f"{each.name} in another way" if each.name in own_a else each.name
+                for each in of_b
+                if each not in of_a
+            ]
             facts = {
-                "of_a": names_of(each for each in of_a if each not in of_b) or "nothing",
-                "of_b": names_of(each for each in of_b if each not in of_a) or "nothing",
+                "of_a": ", ".join(own_a) or "nothing",
+                "of_b": ", ".join(own_b) or "nothing",
             }
             yield Verdict(MapVerdict.GUESSES, needed=np.nan, facts=facts)
 
@@ -339,6 +344,11 @@ def compare(
             times = next(iter(paired_times(part_a, part_b).items()), (None, None))
             judged = compared_routes(part_a, part_b, routes, seed, times, report)
     return replace(result, table=table, routes=judged)
+
+
+def setting_said(value: Any) -> str:
+    """Return the value of a setting as sentences have it; one that is left out is none."""
+    return "none" if value is None else str(value)
 
 
 def _opened(maps: MapsLike | MapsFolder) -> MetricMaps:

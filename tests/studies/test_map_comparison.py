@@ -13,6 +13,7 @@ import jaxurban as ju
 from jaxurban.knowledge import GuessKind, guessed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import paired_times
+from tests.guess_records import attribute, heights
 from tests.made_maps import made_maps
 
 
@@ -176,10 +177,20 @@ def test_the_verdict_names_the_one_setting_that_differs_and_the_mean_over_all_ce
     assert min(means.values()) > 0
     said = " and ".join(f"m_{name} by {mean:.3g}" for name, mean in means.items())
     assert first.sentence.startswith(f"gps.mask_deg 15.0 instead of 5.0 changes {said} on average;")
+    unset = replace(found, settings={"buildings.default_height_m": (None, 30.0)})
+    said = unset.decided.verdicts[0].sentence
+    assert said.startswith("buildings.default_height_m 30.0 instead of none changes")
     rows = found.table[found.table.layer == "obstacle"]
     assert first.n == rows.cells.sum()
     assert (first.facts["closed"], first.facts["opened"]) == (rows.higher.sum(), rows.lower.sum())
     assert [verdict.kind.name for verdict in others] == ["NO_ROUTES", "ONE_TIME"]
+
+
+def test_guesses_of_one_name_that_differ_are_said_to_be_made_in_another_way(found):
+    a = MetricMaps(found.a.ds.assign_attrs(attribute(heights(0.4, "3 by the default of 10 m"))))
+    b = MetricMaps(found.b.ds.assign_attrs(attribute(heights(0.4, "3 by the median"))))
+    *_, last = replace(found, a=a, b=b).decided.verdicts
+    assert "(A: 40 % of heights; B: 40 % of heights in another way)" in last.sentence
 
 
 @pytest.mark.slow

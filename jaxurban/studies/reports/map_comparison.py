@@ -29,7 +29,7 @@ from jaxurban.statistics.bootstrap import Clusters, named
 from jaxurban.studies.baseline import MEASURES, SHORTEST, baseline_said
 from jaxurban.studies.compared_routes import BEST, THERE
 from jaxurban.studies.decided import effects
-from jaxurban.studies.map_comparison import MapComparison
+from jaxurban.studies.map_comparison import MapComparison, setting_said
 
 # The rows of routes by weights and maps: how their columns begin, and that of their cost under A's weights.
 FLOWN = {
@@ -159,7 +159,10 @@ def comparison_report(result: MapComparison) -> ResultReport:
     changed = table[table.higher + table.lower > 0].layer.unique().tolist()
     values = table[table.layer.isin(changed)]
     values = values[values.time.isna() | (values.time == values.time.min())]
-    settings = (f"{key}: {a} in A, {b} in B" for key, (a, b) in result.settings.items())
+    settings = (
+        f"{key}: {setting_said(a)} in A, {setting_said(b)} in B"
+        for key, (a, b) in result.settings.items()
+    )
     pictures = (f"![{layer}, B - A](figures/{layer}.png)" for layer in map(plain, changed))
     return ResultReport(
         "studies/templates/compare",
