@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
+import jaxurban as ju
 from jaxurban.paths.queries import IN_METRES
 from jaxurban.statistics.bootstrap import (
     FEWEST_GROUPS,
@@ -163,7 +164,10 @@ def test_of_one_planner_there_is_nothing_to_compare(table):
     lines = analysis.conclusion(alone, *given).facts
     assert lines["not decided"] == (f"there is nothing to compare, as {CHEAP} is the only planner.")
     assert lines["next"].startswith("jaxurban plan ")
-    assert "--weights distance=0.1,gps=2," in lines["next"]
+    assert "--weights distance=0.1,gps=2,lidar=1,population=1,risk=1" in lines["next"]
+    empty = ju.MetricMaps(maps.ds.drop_vars(["population", "density"]))
+    without = analysis.conclusion(alone, given[0], empty, "", "").facts["next"]
+    assert without.endswith("--weights distance=0.1,gps=2,lidar=1,risk=1")  # what they hold
     first, second = (
         analysis.conclusion(alone, pd.DataFrame([place]), maps, "", "").facts["next"]
         for place in places

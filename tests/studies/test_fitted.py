@@ -48,6 +48,12 @@ def test_a_fit_names_the_pilot_of_planned_routes_and_none_of_lines(small, unit):
         assert fit_weights(routes, bootstrap=0, settings=QUICK).pilots == pilots
 
 
+def test_a_pilot_is_named_by_the_layers_that_the_maps_hold(small):
+    empty = ju.MetricMaps(small.ds.drop_vars(["population", "density"]))
+    fit = fit_targets(made_queries(ju.cost_map(empty, 20.0), 4), ["mean_gps>=0.05"])
+    assert fit.pilots == ("distance=0.1,gps=1,lidar=1,risk=1",)  # which --pilot takes
+
+
 def ends_of(maps) -> list[tuple[float, float]]:
     free = np.argwhere(maps.is_free(20.0))
     return [tuple(map(float, maps.grid.lonlat_of_cell(*cell))) for cell in (free[40], free[-40])]

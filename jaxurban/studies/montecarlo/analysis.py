@@ -307,7 +307,7 @@ def conclusion(
     of_first = first.filter(like=WEIGHT_PREFIX).rename(
         lambda name: name.removeprefix(WEIGHT_PREFIX)
     )
-    weights = weights_option(Weights(**of_first.astype(float)))
+    weights = weights_option(Weights(**of_first.astype(float)), maps.metrics)
     ends = ends_option(maps.grid, first[[*IN_METRES]].to_numpy(float).reshape(2, 2))
     bounds = wider_bounds(maps)
     more = "--set study.instances="

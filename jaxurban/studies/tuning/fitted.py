@@ -50,9 +50,16 @@ class FitResult(StudyResult):
 
     @property
     def pilots(self) -> tuple[str, ...]:
-        """The weights under which the routes were planned, as ``--pilot`` takes them; none of routes that were not."""
-        pilots = (each.pilot for each in self.routes if each.pilot)
-        return tuple(dict.fromkeys(map(weights_option, pilots)))
+        """The weights under which the routes were planned, as ``--pilot`` takes them; none of routes that were not.
+
+        They are those of the layers that the maps hold.
+        """
+        pilots = (
+            weights_option(each.pilot, each.query.cost_map.maps.metrics)
+            for each in self.routes
+            if each.pilot
+        )
+        return tuple(dict.fromkeys(pilots))
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
