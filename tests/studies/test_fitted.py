@@ -48,6 +48,14 @@ def test_a_fit_names_the_pilot_of_planned_routes_and_none_of_lines(small, unit):
         assert fit_weights(routes, bootstrap=0, settings=QUICK).pilots == pilots
 
 
+def test_a_wish_whose_command_asks_for_no_routes_does_not_say_that_it_does(unit):
+    """Of 8 pairs of ends 2 are held out, in Python, where none are drawn: 8 cannot be."""
+    fit = fit_targets(made_queries(unit, 8), ["mean_gps>=0.9"], hold_out=0.25, settings=QUICK)
+    assert fit.decided.next_command.startswith("jaxurban plan")
+    assert fit.decided.asked == 0
+    assert "Next asks" not in fit.decided.facts["not decided"]
+
+
 def test_a_pilot_is_named_by_the_layers_that_the_maps_hold(small):
     empty = ju.MetricMaps(small.ds.drop_vars(["population", "density"]))
     fit = fit_targets(made_queries(ju.cost_map(empty, 20.0), 4), ["mean_gps>=0.05"])

@@ -125,7 +125,8 @@ class TargetFit(FitResult):
         if needed:
             share = float(self.is_held_out.mean())
             command = self.commands.holding_out(needed, self.num_pairs, share)
-        return Conclusion((*verdicts, *self.border), command or self.last_command, needed)
+        asked = needed if command else 0.0
+        return Conclusion((*verdicts, *self.border), command or self.last_command, asked)
 
     @property
     def facts(self) -> dict[str, str]:
