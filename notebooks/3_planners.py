@@ -35,7 +35,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 import jaxurban as ju
-from jaxurban.draw.paths import planner_colours
+from jaxurban.draw.routes import planner_colours
 from jaxurban.draw.style import legend_below, panels, styled
 from jaxurban.planners.astar import astar, heuristic_at, make_heuristic
 from jaxurban.planners.base import Problem

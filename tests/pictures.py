@@ -19,7 +19,7 @@ from matplotlib.patheffects import AbstractPathEffect, Normal
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-from jaxurban.draw.paths import EDGED
+from jaxurban.draw.routes import EDGED
 
 LEAST_PT, LEAST_CONTRAST = 7.0, 1.5  # of letters as printed; by WCAG 2.2, of relative luminances
 MM_PER_IN = 25.4

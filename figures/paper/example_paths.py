@@ -26,15 +26,9 @@ from jaxurban.draw.frame import (
     rules_said,
 )
 from jaxurban.draw.metrics import obstacle_patches
-from jaxurban.draw.paths import (
-    cost_layers,
-    grid_said,
-    named_paths,
-    outcome_line,
-    path_entries,
-    planner_colours,
-)
-from jaxurban.draw.paths import draw_paths as add_paths
+from jaxurban.draw.paths import cost_layers
+from jaxurban.draw.routes import draw_paths as add_paths
+from jaxurban.draw.routes import grid_said, named_paths, outcome_line, path_entries, planner_colours
 from jaxurban.maps.scenario import PAPER_PLANNERS
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.finish import finish

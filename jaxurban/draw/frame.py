@@ -119,6 +119,7 @@ class MapPanel(NamedTuple):
       foot: lines below it.
       grid: its own, if any.
       is_closed: ``[Y, X]`` bool: cells that are hatched; `NOWHERE`: none.
+      altitude_m: of the map; None: it has none.
     """
 
     title: str
@@ -126,6 +127,7 @@ class MapPanel(NamedTuple):
     foot: str = ""
     grid: Grid | None = None
     is_closed: np.ndarray = NOWHERE
+    altitude_m: float | None = None
 
 
 class Size(NamedTuple):

@@ -15,6 +15,7 @@ from jaxurban.draw.frame import (
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
     DrawnMap,
+    LegendEntry,
     MapPanel,
     availability_threshold,
     classes_layer,
@@ -25,6 +26,14 @@ from jaxurban.draw.frame import (
     meaning_of,
     symbol_of,
     varied,
+)
+from jaxurban.draw.routes import (
+    DrawnPath,
+    Paths,
+    draw_paths,
+    named_paths,
+    path_entries,
+    planner_colours,
 )
 from jaxurban.draw.style import Colours, drawing, ends_of
 from jaxurban.errors import InputError
@@ -236,6 +245,7 @@ def plot_metric(
     altitude_m: Altitudes = None,
     time: str | None = None,
     time_of_day: str | None = None,
+    paths: Paths = (),
     **form: Unpack[MapForm],
 ) -> Figure:
     """Return panels of one metric (of the cost, a user's own too, a DOP or num_visible), all on one scale.
@@ -245,9 +255,10 @@ def plot_metric(
     Args:
       maps: from `build_maps` or `open_maps`.
       name: which metric.
-      altitude_m: which altitude, or which ones; all if left out.
+      altitude_m: which altitude, or which ones; left out, those of the paths, or all where there is none.
       time: UTC time of the GPS maps; the first if left out.
       time_of_day: of the population maps; all of them, a panel each, if left out.
+      paths: one, several, a batch, or a dictionary by name, each drawn on the map of its altitude.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
     Returns:
@@ -255,19 +266,20 @@ def plot_metric(
 
     Raises:
       InputError: a name, altitude, time or time of day that these maps do not hold, a map without a value in any free
-        cell, or a width that is none.
+        cell, a width that is none, or paths of which none is at an altitude that is drawn.
 
     Examples:
       >>> figure = ju.plot.plot_metric(maps, "gps", altitude_m=[20.0, 60.0], cmap="cividis")
-      >>> route = figure.axes[0].plot(*path.xy_m.T)  # axes are in metres, as routes are
-      >>> figure.savefig("gps.png")
+      >>> own = figure.axes[0].plot(*path.xy_m.T)  # axes are in metres, as routes are
+      >>> ju.plot.plot_metric(maps, "gps", paths={"cheapest": path}).savefig("gps.png")
     """
     maps = as_maps(maps)
     variables = drawn_variables(maps)
     name = name if name in variables else stored_name(name, maps.ds)
     variable = variables[one_of("a map to draw from these maps", name, variables)]
     if name == "obstacle":
-        return plot_obstacles(maps, altitude_m=altitude_m, **form)
+        return plot_obstacles(maps, altitude_m=altitude_m, paths=paths, **form)
+    named = named_paths(paths, None)
     colours = metric_colours(maps, name)
     patches = obstacle_patches(maps)
     has_sky = is_of_sky(maps.ds, variable)
@@ -277,7 +289,7 @@ def plot_metric(
         time = (time or maps.times[0]) if TIME in variable.dims else None
         panels = [
             _panel(maps, name, variable, f"{z:g} m", z, time)
-            for z in altitudes_of(maps, altitude_m)
+            for z in _altitudes_drawn(maps, altitude_m, named)
         ]
         heading = variable.heading
         if variable.name not in maps.ds:  # computed here, from the maps of all times
@@ -318,7 +330,7 @@ def plot_metric(
         positive, colour = classes[1]
         classes[1] = f"{positive}\n({meaning})", colour
     legend, bar = [*classes, *patches], None if classes else colours
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, colours=bar, **form)[0]
+    return _with_routes(maps, panels, heading, note, named, legend=legend, colours=bar, **form)
 
 
 @drawing
@@ -374,7 +386,7 @@ def _panel(
     """
     layers = [free_layer(maps, name, altitude_m, time), obstacle_layer(maps, altitude_m)]
     values = values_of(maps, name, altitude_m, time)[maps.is_free(altitude_m, "centre")]
-    return MapPanel(f"{what}  ·  {_middle_of(values, variable)}", layers)
+    return MapPanel(f"{what}  ·  {_middle_of(values, variable)}", layers, altitude_m=altitude_m)
 
 
 def _middle_of(values: np.ndarray, variable: Variable) -> str:
@@ -423,39 +435,40 @@ def _enough_of(values_m: np.ndarray, altitudes_m: Sequence[float]) -> str:
 
 @drawing
 def plot_obstacles(
-    maps: MapsLike, *, altitude_m: Altitudes = None, **form: Unpack[MapForm]
+    maps: MapsLike, *, altitude_m: Altitudes = None, paths: Paths = (), **form: Unpack[MapForm]
 ) -> Figure:
     """Return panels of free and obstacle cells by altitude; titles give the share of obstacles.
 
     Args:
       maps: from `build_maps` or `open_maps`.
-      altitude_m: which altitude, or which ones; all if left out.
+      altitude_m: which altitude, or which ones; left out, those of the paths, or all where there is none.
+      paths: as in `plot_metric`.
       form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
     Returns:
       A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
-      InputError: an altitude that these maps do not hold.
+      InputError: an altitude that these maps do not hold, or paths of which none is at one that is drawn.
 
     Examples:
       >>> ju.plot.plot_obstacles(maps, altitude_m=20.0).savefig("obstacles.png")
     """
     maps = as_maps(maps)
     has_data = maps.ds["has_data"].values
+    named = named_paths(paths, None)
     panels = []
     group = group_numbers(maps)
     numbers = set[int]()
-    for z in altitudes_of(maps, altitude_m):
+    for z in _altitudes_drawn(maps, altitude_m, named):
         share = "no data"
         if has_data.any():
             share = f"{precise_percent(maps.m('obstacle', z)[has_data].mean())} blocked"
         drawn = np.where(obstacle_layer(maps, z).values == 0, group, -1)
         numbers.update(np.unique(drawn).tolist())
         obstacles = classes_layer(drawn, [*GROUP_COLOURS.values()])
-        panels.append(
-            MapPanel(f"{z:g} m  ·  {share}", [flat_layer(has_data, FREE_COLOUR), obstacles])
-        )
+        layers = [flat_layer(has_data, FREE_COLOUR), obstacles]
+        panels.append(MapPanel(f"{z:g} m  ·  {share}", layers, altitude_m=z))
 
     # The groups that are drawn; buildings alone are obstacles.
     patches = obstacle_patches(maps, BUILT_COLOUR)
@@ -466,7 +479,55 @@ def plot_obstacles(
     legend = [("free", FREE_COLOUR), *patches]
     heading = "Obstacles, by altitude above ground"
     panels, note = varied(panels, frame_note(maps, has_sky=False))
-    return draw_maps(maps.grid, panels, heading, note, legend=legend, **form)[0]
+    return _with_routes(maps, panels, heading, note, named, legend=legend, **form)
+
+
+def _altitudes_drawn(
+    maps: MetricMaps, altitude_m: Altitudes, named: Sequence[DrawnPath]
+) -> Sequence[float]:
+    """Return the altitudes that a figure shows: those named, or of its paths, or else all of the maps."""
+    if altitude_m is None:
+        altitude_m = sorted({each.path.altitude_m for each in named})
+    return altitudes_of(maps, altitude_m)
+
+
+def _with_routes(
+    maps: MetricMaps,
+    panels: Sequence[MapPanel],
+    heading: str,
+    note: str,
+    named: Sequence[DrawnPath],
+    *,
+    legend: Sequence[LegendEntry],
+    colours: Colours | None = None,
+    **form: Unpack[MapForm],
+) -> Figure:
+    """Return a figure of maps with the routes that were planned at the altitude of each; a map without one has all.
+
+    Args:
+      maps: on whose grid the panels lie.
+      panels, heading, note, legend, colours, form: see `draw_maps`.
+      named: the routes with what they are called.
+
+    Raises:
+      InputError: routes of which none is at an altitude of the panels.
+    """
+    drawn = [
+        [each for each in named if panel.altitude_m in (None, each.path.altitude_m)]
+        for panel in panels
+    ]
+    if named and not any(drawn):
+        heights = ", ".join(f"{z:g}" for z in sorted({each.path.altitude_m for each in named}))
+        raise InputError(f"no path is at an altitude that is drawn: they are at {heights} m")
+    tones = planner_colours(each.name for each in named)
+    paths_at = [[each.path for each in here] for here in drawn]
+    legend = [*legend, *path_entries(tones, *paths_at)]
+    figure, axes = draw_maps(
+        maps.grid, panels, heading, note, legend=legend, colours=colours, **form
+    )
+    for panel, here, shown in zip(axes, drawn, paths_at, strict=True):
+        draw_paths(panel, shown, [tones[each.name] for each in here])
+    return figure
 
 
 def group_numbers(maps: MetricMaps) -> np.ndarray:

@@ -482,6 +482,7 @@ class MetricMaps(FactsRepr):
         *,
         time: str | None = None,
         time_of_day: str | None = None,
+        paths: Any = (),  # `plot_metric` has its type: maps know no planner
         **form: Unpack[MapForm],
     ) -> Figure:
         """Return a picture of one map, or of heights, all metrics and the cost: `jaxurban.plot` has all pictures.
@@ -491,6 +492,7 @@ class MetricMaps(FactsRepr):
           altitude_m: one of `altitudes_m`; left out, a panel for each, and in the overview the first.
           time: one of `times`; the first if left out.
           time_of_day: one of `times_of_day`; left out, a panel for each, and in the overview the first.
+          paths: one from `plan`, several, a batch, or a dictionary by name, each drawn on the map of its altitude.
           width: ``"column"`` or ``"page"`` of a journal (88.9 or 182 mm), or millimetres; left out, a page.
           ax: a cell of another Matplotlib figure (``plt.subplots``), in place of which the picture stands; that part of
             the figure is returned, and ``part.axes`` are its panels.
@@ -507,6 +509,7 @@ class MetricMaps(FactsRepr):
         Examples:
           >>> maps.plot("gps", 60).savefig("gps.png")
           >>> maps.plot().savefig("overview.png")
+          >>> maps.plot("gps", paths=path).savefig("gps.png")
           >>> import matplotlib.pyplot as plt
           >>> figure, (left, right) = plt.subplots(1, 2, figsize=(10, 5))
           >>> part = maps.plot("gps", 60, ax=left, cmap="cividis", title="GPS")
@@ -516,10 +519,16 @@ class MetricMaps(FactsRepr):
 
         if name is None:
             return plot.plot_overview(
-                self, altitude_m=altitude_m, time=time, time_of_day=time_of_day, **form
+                self, paths, altitude_m=altitude_m, time=time, time_of_day=time_of_day, **form
             )
         return plot.plot_metric(
-            self, name, altitude_m=altitude_m, time=time, time_of_day=time_of_day, **form
+            self,
+            name,
+            altitude_m=altitude_m,
+            time=time,
+            time_of_day=time_of_day,
+            paths=paths,
+            **form,
         )
 
     @typed

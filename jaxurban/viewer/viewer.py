@@ -17,8 +17,8 @@ import pandas as pd
 from jaxurban.checks import one_of
 from jaxurban.draw.frame import guesses_said, place_said, rules_said, time_said
 from jaxurban.draw.metrics import group_numbers, line_colour
-from jaxurban.draw.paths import EDGE_PT, LINE_PT, planner_colours, widths_of
 from jaxurban.draw.profile import ALTITUDE_COLOUR
+from jaxurban.draw.routes import EDGE_PT, LINE_PT, planner_colours, widths_of
 from jaxurban.errors import InputError, JaxurbanError, RemadeError
 from jaxurban.flights.check import check
 from jaxurban.flights.export.base import waypoints

@@ -23,19 +23,15 @@ import jaxurban as ju
 from jaxurban import plot as plotting
 from jaxurban.draw.frame import MAP, OBSTACLE_COLOUR, MapPanel, draw_maps, flat_layer, surroundings
 from jaxurban.draw.metrics import obstacle_patches, precise_percent
-from jaxurban.draw.paths import (
+from jaxurban.draw.paths import PALE, closed_at, colours_of_cost, cost_layers, maps_figures
+from jaxurban.draw.routes import (
     BATCH_PT,
     EDGED,
     LINE_PT,
     ON_A_GRID,
-    PALE,
     PLANNER_COLOURS,
     WIDEST_PT,
     CostChoice,
-    closed_at,
-    colours_of_cost,
-    cost_layers,
-    maps_figures,
 )
 from jaxurban.draw.style import bar_ticks, chart, wrapped
 from jaxurban.draw.write import DPI, write_picture
@@ -386,6 +382,19 @@ def test_a_picture_fills_a_cell_of_another_figure_under_its_title_and_in_its_col
     whole.draw_without_rendering()
     assert part.bbox.x1 <= path.bbox.x0 + 1
     plt.close(whole)
+
+
+def test_routes_are_drawn_on_the_map_of_their_altitude(maps):
+    low, high = ALTITUDES_M[:2]
+    path = make_path(maps, "astar", altitude_m=high)
+    for name in "gps", "obstacle":
+        figure = plotting.plot_metric(maps, name, altitude_m=[low, high], paths={"mine": path})
+        assert [len(routes_of(panel)) for panel in panels_of(figure)] == [0, 1]
+        assert "mine" in texts_of(figure)
+        assert titles_of(maps.plot(name, paths=path))[0].startswith(f"{high:g} m")
+    assert [len(routes_of(panel)) for panel in panels_of(maps.plot(paths=path))][-1] == 1
+    with pytest.raises(ju.InputError, match=f"they are at {high:g} m"):
+        maps.plot("gps", low, paths=path)
 
 
 def test_in_a_small_cell_a_map_still_says_that_it_rests_on_guesses():

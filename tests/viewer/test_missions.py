@@ -12,8 +12,8 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.draw.paths import PLANNER_COLOURS
 from jaxurban.draw.profile import ALTITUDE_COLOUR
+from jaxurban.draw.routes import PLANNER_COLOURS
 from jaxurban.errors import InputError
 from jaxurban.flights.export.write import FORMATS
 from jaxurban.paths.suffixes import FLOWN

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from jaxurban.draw.paths import planner_colours, widths_of
+from jaxurban.draw.routes import planner_colours, widths_of
 from jaxurban.draw.style import drawing, legend_below, letter_all, panels, step_up
 from jaxurban.pictures import Form
 

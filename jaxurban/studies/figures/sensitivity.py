@@ -25,14 +25,8 @@ from jaxurban.draw.frame import (
     rules_said,
 )
 from jaxurban.draw.metrics import obstacle_patches
-from jaxurban.draw.paths import (
-    CostChoice,
-    closed_at,
-    cost_layers,
-    draw_ends,
-    draw_lines,
-    one_weighting,
-)
+from jaxurban.draw.paths import closed_at, cost_layers, one_weighting
+from jaxurban.draw.routes import CostChoice, draw_ends, draw_lines
 from jaxurban.draw.style import (
     INK,
     MARKERS,

@@ -19,7 +19,8 @@ from jaxurban.draw.frame import (
     rules_said,
 )
 from jaxurban.draw.metrics import line_colour, obstacle_layer, obstacle_patches
-from jaxurban.draw.paths import colours_of_cost, draw_lines
+from jaxurban.draw.paths import colours_of_cost
+from jaxurban.draw.routes import draw_lines
 from jaxurban.draw.style import dots, drawing, name_rows, panels, show_plain_log
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.pictures import Form, MapForm
