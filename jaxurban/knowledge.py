@@ -9,7 +9,7 @@ the `Sky` by what sets it up, and by `jaxurban.maps.guesses` what a region's map
 import json
 import re
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from textwrap import shorten
 from typing import Any, Literal
@@ -18,6 +18,7 @@ from jaxurban.errors import GuessWarning, in_words, warn
 
 LEAST_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
 MOST_OF_RULE = 60  # letters that are shown of the name of a rule
+MOST_KINDS = 3  # that a warning names; the record names all
 HIGHEST_M = 828.0  # Burj Khalifa, the highest building of the world
 
 
@@ -56,8 +57,8 @@ class GuessKind(Enum):
     )
     HEIGHTS = (
         "{share} of heights",
-        "{share} of the heights of the {number:,} buildings in the region are guessed ({kinds}): give a source with "
-        "heights, or set [buildings] level_height_m and default_height_m",
+        "{share} of the heights of the {number:,} buildings in the region are guessed ({kinds}{medians}): give a "
+        "source with heights, or set [buildings] level_height_m and default_height_m",
     )
     HIGHEST_SAID = (
         "unknown heights up to highest_m = {highest_m}",
@@ -236,6 +237,15 @@ class Guess:
         """The guess with its remedy."""
         return in_words(self._with_facts(self.kind.value[1]))
 
+    @property
+    def warning(self) -> str:
+        """The sentence with the commonest kinds alone, and without the medians."""
+        kinds = str(self.facts.get("kinds", "")).split(", ")
+        short = ", ".join(kinds[:MOST_KINDS])
+        if len(kinds) > MOST_KINDS:
+            short += " and so on"
+        return replace(self, facts={**self.facts, "kinds": short, "medians": ""}).sentence
+
     def _with_facts(self, words: str) -> str:
         """Return words with the record's own facts in their places."""
         place = "{:.5f}, {:.5f} (lon, lat)".format(*self.place) if self.place else ""
@@ -285,7 +295,7 @@ def warn_of(guesses: Guesses, known: Collection[Guess] = ()) -> None:
     """Warn of each guess that is not known already."""
     for guess in guesses:
         if guess not in known:
-            warn(guess.sentence, GuessWarning)
+            warn(guess.warning, GuessWarning)
 
 
 def shown_rule(name: str) -> str:

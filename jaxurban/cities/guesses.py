@@ -46,28 +46,39 @@ def height_guesses(
     num_estimated = counts.pop(GUESSED_BY[HeightOrigin.ESTIMATED])
     numbers = vars(file) | {
         "layer_clearance_m": LAYER_CLEARANCE_M,
-        "default": _default_said(learned, file),
+        "default": _default_said(file),
     }
     kinds = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
+    medians = ""
+    if counts[GUESSED_BY[HeightOrigin.DEFAULT]] and file.default_height_m is None:
+        medians = _medians_said(learned)
     num = max(len(inside), 1)
     guesses = guessed(
         GuessKind.ESTIMATES, num_estimated / num, number=num_estimated, of=len(inside), least=0.0
     )
     guesses += guessed(
-        GuessKind.HEIGHTS, sum(counts.values()) / num, number=len(inside), kinds=kinds
+        GuessKind.HEIGHTS,
+        sum(counts.values()) / num,
+        number=len(inside),
+        kinds=kinds,
+        medians=medians,
     )
     if file.highest_m is not None:
         guesses += guessed(GuessKind.HIGHEST_SAID, highest_m=str(file.highest_m))
     return guesses + _high_roofs(inside.take(inside.height_m > HIGHEST_M), crs)
 
 
-def _default_said(learned: Mapping[str, Learned], file: settings.Buildings) -> str:
+def _default_said(file: settings.Buildings) -> str:
     """Return by what a height is guessed of which a file says nothing, in words."""
     if file.default_height_m is not None:
         return f"by the default of {file.default_height_m:g} m"
+    return "by the median of their class"
+
+
+def _medians_said(learned: Mapping[str, Learned]) -> str:
+    """Return the median of each class after a colon."""
     names = [*CLASSES, *PART_CLASSES]
-    medians = [f"{name} {learned[name]}" for name in names if name in learned]
-    return f"by the median of their class: {'; '.join(medians)}"
+    return ": " + "; ".join(f"{name} {learned[name]}" for name in names if name in learned)
 
 
 def _high_roofs(high: Footprints, crs: str) -> Guesses:

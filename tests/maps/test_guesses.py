@@ -15,6 +15,7 @@ from jaxurban.errors import GuessWarning, speaking
 from jaxurban.io.burn import burn
 from jaxurban.io.city import City
 from jaxurban.io.rasterise import build_surface
+from jaxurban.knowledge import GuessKind, guessed
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.guesses import leaving_share
 from jaxurban.maps.params import MapParams
@@ -89,7 +90,7 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     assert code == 0
     sentence = (
         "heights of the 4 buildings in the region are guessed (1 from the number of levels at 3 m each, "
-        "1 by the median of their class: buildings of 60 to 200 m2"
+        "1 by the median of their class): give a source with heights"
     )
     assert [
         line
@@ -100,13 +101,20 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     assert sum(sentence in warning for warning in found) == 1
     maps = ju.open_maps(tmp_path / "out")
     assert "50 % of heights" in by_name(maps.guesses)
-    guessed = burn(np.array(houses[1:3]), np.ones(2), maps.grid, 0, "int32")[0].astype(bool)
-    assert guessed.sum() == 32
-    np.testing.assert_array_equal(maps.m("roof_guessed"), guessed)
+    is_guessed = burn(np.array(houses[1:3]), np.ones(2), maps.grid, 0, "int32")[0].astype(bool)
+    assert is_guessed.sum() == 32
+    np.testing.assert_array_equal(maps.m("roof_guessed"), is_guessed)
     texts = texts_of(maps)
     assert "(b) height guessed: 50 % of cells with a roof" in texts
     assert {"no roof", "height known", "height guessed"} <= {*texts}
     assert any(text.startswith("Guessed: 50 % of heights") for text in texts)
+
+
+def test_a_warning_names_the_commonest_kinds_and_the_record_all():
+    kinds = "9,235 tree, 320 bridge, 12 mast, 3 tank, 1 wire"
+    (guess,) = guessed(GuessKind.STRUCTURES, number=9571, kinds=kinds)
+    assert "(9,235 tree, 320 bridge, 12 mast and so on)" in guess.warning
+    assert f"({kinds})" in guess.sentence
 
 
 def test_of_known_heights_without_terrain_only_the_ground_is_guessed_and_over_terrain_nothing(
@@ -144,7 +152,7 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
     maps, at_building = told_by(
         lambda: ju.build_maps(city, BOUNDS, resolution_m=10.0, altitudes_m=[20.0])
     )
-    assert [*at_reading, *at_building] == list(by_name(maps.guesses).values())
+    assert [*at_reading, *at_building] == [guess.warning for guess in maps.guesses]
     assert len(at_reading) == 2
     assert any(
         "nominal ones at 2020-04-27T16:00:00Z, the paper's time" in sentence
@@ -153,7 +161,7 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
     assert any("rays that leave the data" in sentence for sentence in at_building)
     ran = run_scenario(Scenario.from_toml(write_scenario(tmp_path)), tmp_path / "out")
     with speaking("scenario"):  # as the run itself
-        assert ran.record["warnings"] == list(by_name(ran.maps[10.0].guesses).values())
+        assert ran.record["warnings"] == [guess.warning for guess in ran.maps[10.0].guesses]
     assert ran.maps[10.0].guesses == maps.guesses
     np.testing.assert_array_equal(ran.maps[10.0].m("roof_guessed"), maps.m("roof_guessed"))
 
