@@ -18,7 +18,7 @@ from jaxurban.errors import GuessWarning, in_words, warn
 
 LEAST_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
 MOST_OF_RULE = 60  # letters that are shown of the name of a rule
-MOST_KINDS = 3  # that a warning names; the record names all
+MOST_KINDS = 5  # that a warning names; the record names all
 HIGHEST_M = 828.0  # Burj Khalifa, the highest building of the world
 
 

@@ -43,9 +43,11 @@ def save_maps(maps: MetricMaps, folder: Path, layers: Sequence[str]) -> None:
             workspace.settings.clear()
 
         write_zarr(ds, folder)
-        if OPENED in maps.ds.encoding:
-            # The maps may have been opened from this folder: their files are then replaced, and are read again.
+        if maps.folder is not None and maps.folder.resolve() == folder.resolve():
+            # The files that these maps are read from are replaced: from now on they are read from the new ones.
             ds = open_zarr(folder.resolve(), maps.grid.resolution_m)
+            maps.ds.update(ds)
+            maps.ds.encoding[OPENED] = ds.encoding[OPENED]
         write_geotiffs(ds, folder, layers=layers)
         save_base_map(maps.base_map, workspace)
         sweep_scraps(folder / GEOTIFF_FOLDER)  # of GDAL, from a run that was killed

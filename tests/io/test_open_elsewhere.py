@@ -101,6 +101,15 @@ def test_maps_are_saved_beside_those_of_a_resolution_that_cannot_be_read(maps, t
     xr.testing.assert_identical(ju.open_maps(maps.save(tmp_path), 20).ds.load(), maps.ds)
 
 
+def test_maps_saved_into_the_folder_that_they_were_opened_from_stay_usable(maps, tmp_path):
+    opened = ju.open_maps(maps.save(tmp_path))
+    opened.ds["noise"] = 2 * opened.ds["roof"]
+    opened.save(tmp_path)
+    xr.testing.assert_identical(opened.ds["roof"].load(), maps.ds["roof"])
+    assert ju.open_maps(tmp_path).ds["noise"].identical(opened.ds["noise"])
+    assert opened.folder == tmp_path
+
+
 @pytest.mark.parametrize(
     ("change", "layers", "words"),
     [

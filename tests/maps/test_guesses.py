@@ -111,9 +111,9 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
 
 
 def test_a_warning_names_the_commonest_kinds_and_the_record_all():
-    kinds = "9,235 tree, 320 bridge, 12 mast, 3 tank, 1 wire"
+    kinds = "9,235 tree, 320 bridge, 12 mast, 3 tank, 2 wall, 1 wire"
     (guess,) = guessed(GuessKind.STRUCTURES, number=9571, kinds=kinds)
-    assert "(9,235 tree, 320 bridge, 12 mast and so on)" in guess.warning
+    assert "(9,235 tree, 320 bridge, 12 mast, 3 tank, 2 wall and so on)" in guess.warning
     assert f"({kinds})" in guess.sentence
 
 
