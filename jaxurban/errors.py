@@ -40,8 +40,8 @@ KEY = re.compile(
     rf"""\[({SECTIONS})\] (\w+)(?: = ("[^"]*"|'[^']*'|\[[^]]*\]|\{{[^}}]*\}}|[\w.]+))?"""
 )
 # In brackets: options before arguments, arguments behind options, and options alone with their bracket.
-BEFORE_ARGUMENTS = re.compile(r"(--[\w-]+[,;] )+(?=\w+=[,;)])")
-ARGUMENTS = re.compile(r"[,;] \w+=(?=[,;)])")
+BEFORE_ARGUMENTS = re.compile(r"(--[\w-]+( \d+)?[,;] )+(?=\w+=\w*[,;)])")
+ARGUMENTS = re.compile(r"[,;] \w+=\w*(?=[,;)])")
 OPTIONS = re.compile(r" \(--[^()]*\)")
 
 
@@ -60,7 +60,7 @@ def in_words(sentence: str) -> str:
 
     Args:
       sentence: names settings as a scenario does, ``[gps] orbits``, and options behind what they stand for, in
-        brackets: ``resolution_m (--resolution)``, or with the argument, ``(--pilot, pilot=)``.
+        brackets: ``resolution_m (--resolution)``, or with the argument and a value, ``(--snap 8, snap=8)``.
 
     Returns:
       The sentence; for Python keys are arguments, as ``ju.Gps(orbits=...)``, and there are no options.

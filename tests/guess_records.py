@@ -10,7 +10,7 @@ FLAT = Guess(GuessKind.FLAT_GROUND)
 
 def heights(share: float, kinds: str = "3 by the default of 10 m") -> Guess:
     """Return the guess on a share of the heights of buildings."""
-    return Guess(GuessKind.HEIGHTS, share, 3, facts={"kinds": kinds})
+    return Guess(GuessKind.HEIGHTS, share, 3, facts={"kinds": kinds, "medians": ""})
 
 
 def attribute(*guesses: Guess) -> dict[str, str]:

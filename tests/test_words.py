@@ -63,6 +63,7 @@ def test_what_messages_call_in_python_takes_the_keys_of_the_section(section):
         ("move [region] bounds", "move bounds", "move [region] bounds"),
         ("resolution_m (--resolution)", "resolution_m", "resolution_m (--resolution)"),
         ("name it (--pilot, pilot=)", "name it (pilot=)", "name it (--pilot)"),
+        ("move it (--snap 8, snap=8)", "move it (snap=8)", "move it (--snap 8)"),
         ("none [here] of them (as it is)",) * 3,
     ],
 )

@@ -85,6 +85,7 @@ ENTRY_IN = 0.45  # of a legend's entry, beside its letters
 WIDE, VERY_WIDE = 5.0, 1e3  # factors between the ends of an axis from which its ticks are others
 SHOWN_DPI = 110  # of a picture in a notebook, which is as wide as a page
 EDGE_IN, TITLE_IN = 0.1, 0.8
+PAD_IN = 0.05  # left and right of what a figure or a cell holds
 # Of a name beside its mark: steps to the right and up, how it is aligned there, and how far from the mark's middle.
 STEPS, ACROSS, UPWARD = (1, -1, 0), ("center", "left", "right"), ("center", "bottom", "top")
 AWAY_PT, BESIDE_PT = (5, 8, 12, 17, 23), 8  # farther away than BESIDE_PT it has a line
@@ -183,11 +184,13 @@ def chart(height_in: float, heading: str, note: str = "", **form: Unpack[Form]) 
     height_in += HEAD_IN * len(head.splitlines()) + LINE_IN * len(foot.splitlines())
     ax = form.get("ax")
     if ax is None:
-        layout = ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.06)
+        layout = ConstrainedLayoutEngine(w_pad=PAD_IN, h_pad=0.06)
         figure = Picture(figsize=(width_in, height_in), layout=layout, facecolor="white")
+        edge_in = EDGE_IN
     else:
         figure = _in_place_of(ax)
-    look = {"x": EDGE_IN / width_in, "ha": "left"}  # x is a share of the figure's width
+        edge_in = PAD_IN
+    look = {"x": edge_in / width_in, "ha": "left"}  # x is a share of the figure's width
     figure.suptitle(head, size=HEADING_PT, weight="bold", color=INK, **look)
     if foot:
         figure.supxlabel(foot, size=SMALL_PT, color=FAINT_INK, **look)

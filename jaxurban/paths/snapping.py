@@ -201,12 +201,12 @@ class FreeSpace:
             over = " over the ground" if on_ground else ""
             too_far = "" if limit_m is None else f", farther than it may be moved ({limit_m:g} m)"
             needed_m = math.ceil(away_m[0])
-            option = f"--snap {needed_m} (snap={needed_m})"
+            option = f"--snap {needed_m}, snap={needed_m}"
             if needed_m <= MAX_SNAP_M:
-                option = "--snap (snap=True)"
+                option = "--snap, snap=True"
             raise InputError(
                 f"{name} is {why}; the nearest free cell{over} is at {lon:.6f},{lat:.6f}, {away_m[0]:.0f} m away"
-                f"{too_far}: take that place, fly higher, or pass {option} to move there"
+                f"{too_far}: take that place, fly higher, or let it be moved there ({option})"
             )
 
         # The nearest cell of each island. Cells are sorted by distance, and `unique` gives the first of each island.

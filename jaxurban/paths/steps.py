@@ -95,7 +95,7 @@ def steps_of(
     evenly = (number[:, None] + [0, 1]) / np.repeat(num_steps, num_steps)[:, None]
     part = np.repeat(part, num_steps)
     segment = segment[part]
-    shares = between(cut.shares[part], evenly)
+    shares = between(cut.shares[part].clip(0, 1), evenly)  # rounding may leave them
 
     # Place, height over the ground and cell of each step.
     step_states = between(states[segment], shares)

@@ -222,7 +222,7 @@ def test_the_command_moves_ends_to_the_ground_and_keeps_other_files(folder, tmp_
         code, facts = ended(*options)
         assert code == facts["exit_code"] == 2
         assert "(exact outlines) finds that it flies through" in facts["message"]
-        assert "let its ends be moved to free ground by --snap" in facts["message"]
+        assert "let its ends be moved to free ground (--snap)" in facts["message"]
         assert all((tmp_path / name).exists() for name in FILES)
         assert not (tmp_path / "x.plan").exists()
     code, facts = ended("--snap")

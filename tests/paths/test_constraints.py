@@ -305,7 +305,7 @@ def snapped(way, maps, ends, snap) -> float:
 @pytest.mark.parametrize("way", ["plan", "volume", "many", "study"])
 def test_a_place_is_moved_by_at_most_50_m_or_as_far_as_is_said(way, block, inside):
     for snap, cap in ((True, "50 m"), (69.0, "69 m")):
-        told = rf"70 m away, farther than it may be moved \({cap}\).*--snap 7[01]"
+        told = rf"70 m away, farther than it may be moved \({cap}\).*snap=7[01]"
         with pytest.raises(ju.InputError, match=told):
             snapped(way, block, inside, snap)
     assert snapped(way, block, inside, 75.0) == pytest.approx(70.0, abs=0.01)

@@ -21,8 +21,8 @@ from jaxurban.paths.path import PlannedPath
 NO_MAPS = "It was not checked, as the path has no maps."
 UNSURE = "may meet what is of unknown height as it takes off or lands"
 REMEDY = (
-    "let its ends be moved to free ground by --snap without --ends-in-air (snap=True, on_ground=True), plan it again "
-    "with greater clearances, or save it as .kml, .gpx or .geojson"
+    "let its ends be moved to free ground (--snap, snap=True) and not be left in the air (--ends-in-air, "
+    "on_ground=False), plan it again with greater clearances, or save it as .kml, .gpx or .geojson"
 )
 
 
