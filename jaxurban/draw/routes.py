@@ -221,6 +221,8 @@ def path_entries(colours: Mapping[str, str], *paths_at: Sequence[PlannedPath]) -
 def outcome_line(path: PlannedPath, name: str, has_cost: bool = True) -> str:
     """Return a line of text: a path's name, with its cost and its length in km, or with its status without a route.
 
+    Of one that climbs it also says between which altitudes, as it is drawn on the map of one.
+
     Args:
       path: the path.
       name: what pictures call it.
@@ -230,6 +232,9 @@ def outcome_line(path: PlannedPath, name: str, has_cost: bool = True) -> str:
         return f"{legend_name(name)}: {path.status.value}"
     cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
     length = f"{path.length_m / 1000:.2f} km"
+    low_m, high_m = path.z_m.min(), path.z_m.max()
+    if high_m > low_m:
+        length += f", {low_m:.0f} to {high_m:.0f} m up"
     graph = " (best on the grid)" if is_best_of_grid(path) else ""
     return f"{legend_name(name)}: {joined(cost if has_cost else '', length, by=', ')}{graph}"
 

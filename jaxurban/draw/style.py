@@ -207,7 +207,11 @@ def width_in_of(form: Form) -> float:
     if ax is None:
         return inches(form.get("width", "page"))
     if not isinstance(ax, Axes) or ax.get_subplotspec() is None:
-        raise InputError("ax must be a cell of a grid of axes, as matplotlib's subplots has them")
+        raise InputError(
+            "ax must be one cell of a grid of axes, as matplotlib's subplots has them (axes[0] of several)"
+        )
+    if "width" in form:
+        raise InputError("width: a cell that ax names has its own, so leave width out")
     return width_of(ax)
 
 

@@ -478,7 +478,7 @@ class MetricMaps(FactsRepr):
     def plot(
         self,
         name: str | None = None,
-        altitude_m: float | None = None,
+        altitude_m: float | Sequence[float] | None = None,
         *,
         time: str | None = None,
         time_of_day: str | None = None,
@@ -489,7 +489,7 @@ class MetricMaps(FactsRepr):
 
         Args:
           name: a variable, as for `m`; left out, the overview.
-          altitude_m: one of `altitudes_m`; left out, a panel for each, and in the overview the first.
+          altitude_m: one of `altitudes_m`, or several, a panel each; left out, all, and in the overview the first.
           time: one of `times`; the first if left out.
           time_of_day: one of `times_of_day`; left out, a panel for each, and in the overview the first.
           paths: one from `plan`, several, a batch, or a dictionary by name, each drawn on the map of its altitude.
@@ -518,8 +518,9 @@ class MetricMaps(FactsRepr):
         from jaxurban import plot  # imported here: it brings Matplotlib
 
         if name is None:
+            one_m: Any = altitude_m  # several are refused
             return plot.plot_overview(
-                self, paths, altitude_m=altitude_m, time=time, time_of_day=time_of_day, **form
+                self, paths, altitude_m=one_m, time=time, time_of_day=time_of_day, **form
             )
         return plot.plot_metric(
             self,

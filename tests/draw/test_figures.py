@@ -32,6 +32,7 @@ from jaxurban.draw.routes import (
     PLANNER_COLOURS,
     WIDEST_PT,
     CostChoice,
+    outcome_line,
 )
 from jaxurban.draw.style import bar_ticks, chart, wrapped
 from jaxurban.draw.write import DPI, write_picture
@@ -384,6 +385,26 @@ def test_a_picture_fills_a_cell_of_another_figure_under_its_title_and_in_its_col
     plt.close(whole)
 
 
+def test_below_a_route_that_climbs_stands_between_which_altitudes(maps):
+    path = make_path(maps, "astar")
+    climbing = replace(path, z_m=np.array([20.0, 41.4, 60.0]))
+    assert "km, 20 to 60 m up" in outcome_line(climbing, "astar")
+    assert " m up" not in outcome_line(path, "astar")
+
+
+def test_a_method_takes_several_altitudes_other_maps_and_one_cell_of_its_own_width(maps):
+    assert len(titles_of(maps.plot("gps", [20.0, 60.0]))) == 2
+    path = replace(make_path(maps, "astar"), maps=None)
+    assert len(routes_of(panels_of(path.plot(maps))[0])) == 1
+    with pytest.raises(ju.InputError, match="altitude_m must be"):
+        maps.plot(None, [20.0, 60.0])
+    _, cells = plt.subplots(1, 2)
+    for wrong in ({"ax": cells}, {"ax": cells[0], "width": 120.0}):
+        with pytest.raises(ju.InputError, match=r"one cell of a grid|leave width out"):
+            maps.plot("gps", 20.0, **wrong)
+    plt.close("all")
+
+
 def test_routes_are_drawn_on_the_map_of_their_altitude(maps):
     low, high = ALTITUDES_M[:2]
     path = make_path(maps, "astar", altitude_m=high)
@@ -449,8 +470,8 @@ def test_in_small_axes_maps_keep_their_room(maps, size_in):
 @pytest.mark.parametrize(
     ("form", "said"),
     [
-        ({"ax": plt.Figure().add_axes((0, 0, 1, 1))}, "ax must be a cell of a grid"),
-        ({"ax": [1, 2]}, "ax must be a cell of a grid"),
+        ({"ax": plt.Figure().add_axes((0, 0, 1, 1))}, "ax must be one cell of a grid"),
+        ({"ax": [1, 2]}, "ax must be one cell of a grid"),
         ({"cmap": "viridus"}, r"cmap must be .* \(did you mean 'viridis'"),
         ({"title": 3}, "title must be a text or None, got 3"),
         ({"widht": 100}, "did you mean 'width'"),
