@@ -275,6 +275,8 @@ def typed(public: Public) -> Public:
                 fault = f"there is no argument {wrong!r}{_home_of(wrong, checked)}"
             elif by_name and len(args) > len(in_order):
                 fault += _place_of(args[len(in_order)], by_name, in_order[-1], kinds())
+            elif public.__name__ in MADE_BY:
+                fault += f": take {MADE_BY[public.__name__]}"
             raise InputError(f"{public.__name__}: {fault}") from error
 
         # Each value against the kinds of its argument; a keyword that ``**further`` takes has the kinds of that.
@@ -326,7 +328,12 @@ def _hints(function: Callable) -> dict[str, Any]:
     The hint of ``*args`` becomes a sequence of what it names.
     """
     function = function.__init__ if inspect.isclass(function) else function
-    hints = get_type_hints(function, localns=_PublicNames())
+    # What it returns need not be loaded.
+    asked = {
+        n: hint for n, hint in getattr(function, "__annotations__", {}).items() if n != "return"
+    }
+    home = getattr(inspect.unwrap(function), "__globals__", {})
+    hints = get_type_hints(types.SimpleNamespace(__annotations__=asked), home, _PublicNames())
     parameters = inspect.signature(function).parameters
     for name, parameter in parameters.items():
         if parameter.kind is parameter.VAR_POSITIONAL:
@@ -401,12 +408,19 @@ def _check_kind(name: str, value: Any, kinds: list[ArgumentKind], call: str) -> 
         remedy = call
     if _is_number(value) and "a sequence of numbers" in accepted:
         remedy = f": write [{float(value):g}]"
+    if isinstance(value, str) and "DataFrame" in names:
+        remedy = ": read a file with pandas.read_csv or read_parquet"
     shown = _shown(value)
     of_class = re.search(r"a dict of ([A-Z]\w+)(?! \(from)\b", accepted)
     if of_class and isinstance(value, Mapping):
         key, first = next(iter(value.items()))
         shown = f"a dict of {type(first).__name__}"
         remedy = f": write {{{key!r}: {of_class[1]}(...)}}"
+    elif of_class and type(value).__name__ == of_class[1]:
+        remedy = f': write {{"name": {of_class[1]}(...)}}'
+    elif isinstance(value, Mapping | type) and {name.capitalize(), "None"} == {*names}:
+        inner = ", ".join(f"{key}=..." for key in value) if isinstance(value, Mapping) else ""
+        remedy = f": write {name.capitalize()}({inner})"
     raise InputError(f"{name} must be {accepted}, got {shown}{remedy}")
 
 
@@ -519,6 +533,10 @@ def _shown(value: Any) -> str:
     """Return a plain value, or a short list of them, as it is written, and the type of any other."""
     if isinstance(value, list | tuple) and len(value) <= MOST_SHOWN:
         return f"{type(value).__name__} of {', '.join(map(_shown, value)) or 'nothing'}"
+    if isinstance(value, dict) and len(value) <= MOST_SHOWN:
+        return f"dict of {', '.join(f'{key!r}: {_shown(each)}' for key, each in value.items()) or 'nothing'}"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
     return repr(value) if isinstance(value, str | numbers.Number | None) else type(value).__name__
 
 

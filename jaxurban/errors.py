@@ -222,6 +222,8 @@ def not_there(path: str | Path, what: str = "") -> str:
       what: its name in the message; left out, the path.
     """
     path = Path(path)
+    if re.match("(https?|ftp|s3):", str(path)):
+        return f"{str(path)!r} is an address, not a file: download it first, and give the file"
     hint = ""
     with suppress(OSError):  # a folder that is not there, or that this user may not list
         for name in near(path.name, os.listdir(path.parent)):
@@ -254,7 +256,9 @@ def readable(
         raise
     except FileNotFoundError as error:
         raise InputError(not_there(path, what)) from error
+    except IsADirectoryError as error:
+        raise InputError(f"{what} is a folder, not {kind}: name a file") from error
     except caught as error:
-        raise InputError(
-            f"{what} cannot be read as {kind} ({reason_of(error)}): {remedy}"
-        ) from error
+        is_empty = os.path.isfile(path) and os.path.getsize(path) == 0
+        reason = "it is empty" if is_empty else reason_of(error)
+        raise InputError(f"{what} cannot be read as {kind} ({reason}): {remedy}") from error

@@ -14,6 +14,15 @@ MEANT = {  # by names of other libraries
     "to_geojson": "save",
     "to_kml": "save",
     "to_gpx": "save",
+    "to_file": "save",
+    "write": "save",
+    "export": "save",
+    "waypoints": "lonlat",
+    "height": "altitude",
+    "from": "start",
+    "to": "goal",
+    "output": "o",
+    "load": "open_maps",
     "load_maps": "open_maps",
     "read_maps": "open_maps",
     "astar": "plan",
@@ -46,7 +55,7 @@ def alike(name: str, valid: Iterable[str], least: float = LEAST_ALIKE) -> list[s
       valid: names to choose from.
       least: share of letters, about, that must be the same in the same order (``difflib``).
     """
-    wrong = name.lower()
+    wrong = name.lower().replace("*", "star")  # A* is astar
     names = {each.lower(): each for each in valid if each[:1].lower() == wrong[:1]}
     matches = difflib.get_close_matches(wrong, names, n=1, cutoff=least)
     return [names[match] for match in matches]

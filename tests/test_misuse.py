@@ -32,6 +32,11 @@ def two_paths() -> list:
     return [ju.plan(MAPS, START, GOAL, altitude_m=20.0, weights={"gps": gps}) for gps in (1.0, 5.0)]
 
 
+def beside_maps() -> ju.MetricMaps:
+    ds = MAPS.ds
+    return ju.MetricMaps(ds.assign_coords(x=ds.x + 10_000.0))
+
+
 FREE = np.argwhere(MAPS.is_free(20.0))
 START, GOAL = (MAPS.grid.lonlat_of_cell(*FREE[at]) for at in (0, -1))
 BOUNDS = (-74.0, 40.755, -73.997, 40.757)
@@ -480,6 +485,19 @@ def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy_
         (lambda: ju.plot.plot_sky("out/maps"), "of must be SkyAt (from sky, as in sky(maps, place, 60.0))"),
         (lambda: ju.plot.plot_city(MAPS), "city must be City (from City.from_files, sample_city or demo_city), got M"),
         (lambda: ju.sky("out/maps", START, 60.0), "'out/maps' does not exist"),
+        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, planner="A*"), "got 'A*' (did you mean 'astar'?)"),
+        (lambda: ju.plan(MAPS, MAPS.grid.xy_of_cell(2, 2), GOAL, altitude_m=20.0), "look like metres: give degrees"),
+        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, weights={"gps": "1"}), "got dict of 'gps': '1'"),
+        (lambda: ju.plan_many(MAPS, "a.csv", altitude_m=20.0), "got 'a.csv': read a file with pandas.read_csv or"),
+        (lambda: good("planned").plot("gps"), "plot: too many positional arguments"),
+        (lambda: ju.plot.plot_paths(beside_maps(), good("planned")), "nowhere over these maps: give the maps that"),
+        (lambda: ju.plot.plot_overview(beside_maps(), good("planned")), "nowhere over these maps: give the maps that"),
+        (lambda: MAPS.plot().show(), "a picture has no window: write it to a file, as with savefig"),
+        (lambda: ju.build_maps(good("city"), gps={"mask_deg": 5}), "got dict of 'mask_deg': 5: write Gps(mask_deg"),
+        (lambda: ju.build_maps(good("city"), gps=ju.Gps), "got the class Gps: write Gps()"),
+        (lambda: ju.build_maps(good("city"), layers=LAYERS["gps"]), 'write {"name": Layer(...)}'),
+        (lambda: ju.City("a.osm"), "City: missing a required argument: 'extent_m': take City.from_files"),
+        (lambda: ju.City.from_files("https://a.org/a.osm"), "is an address, not a file: download it first"),
         (lambda: ju.sky(ju.demo_city(400, 400), (40.779, -73.971), 60.0), "place: the point "),
     ],
 )  # fmt: skip
@@ -557,6 +575,7 @@ def test_a_missing_attribute_of_a_result_names_the_one_that_is_meant():
         (path, "xy", "xy_m"),
         (path, "length", "length_m"),
         (path, "coords", "lonlat"),
+        (path, "to_file", "save"),
         (path.plot(), "save", "savefig"),
     ):
         expected = (

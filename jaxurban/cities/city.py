@@ -53,6 +53,7 @@ from jaxurban.io.issues import ReadIssue, ReadIssues, num_of
 from jaxurban.io.samples import SAMPLES, located, sample_name, structures_of
 from jaxurban.io.sampling import heights_above, pixel_xy
 from jaxurban.io.sniff import LIDAR, sniff
+from jaxurban.io.stored import ZARR_FOLDER
 from jaxurban.knowledge import HIGHEST_M, Guesses, GuessKind, guessed, warn_of
 from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.population import FILES, Population, check_has_people
@@ -465,6 +466,10 @@ def _reader_of(path: Path, crs: str | None = None) -> OutlineReader | None:
     """
     if not path.exists():
         raise InputError(not_there(path))
+    if (path / ZARR_FOLDER).is_dir():
+        raise InputError(
+            f"{str(path)!r} is a folder of maps, which open_maps opens: name a file of buildings"
+        )
     suffix = path.suffix.lower()
     if suffix in RASTER_SUFFIXES or sniff(path) == LIDAR:
         return None

@@ -16,7 +16,7 @@ from jaxurban.terminal.common import (
     Settings,
     print_json,
 )
-from jaxurban.terminal.options import Numbers, command
+from jaxurban.terminal.options import Number, Numbers, command
 
 
 @command()
@@ -37,6 +37,7 @@ from jaxurban.terminal.options import Numbers, command
 @SHOWN(
     "--margin",
     "margin_m",
+    type=Number(),
     default=1000.0,
     help="Width in metres of the margin whose buildings are fetched too.",
 )

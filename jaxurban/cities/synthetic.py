@@ -154,7 +154,7 @@ def _box_around(bounds: Sequence[float], crs: str | None) -> tuple[Box, str]:
     projected_crs(crs)
     low_xy, high_xy = np.reshape(box_of(check_bounds(bounds), crs), (2, 2))
     width_m, height_m = high_xy - low_xy
-    _check_size(width_m, height_m, f"bounds {list(bounds)}")
+    _check_size(width_m, height_m, f"the box west, south, east, north {list(bounds)}")
     low = np.floor(low_xy / SNAP_M) * SNAP_M
     high = np.ceil(high_xy / SNAP_M) * SNAP_M
     return (*low.tolist(), *high.tolist()), crs

@@ -126,7 +126,7 @@ def _run(arguments: Sequence[str]) -> int:
     except click.UsageError as error:
         said = error.format_message().rstrip(".")
         if isinstance(error, click.NoSuchOption):
-            said = meant_option(error) or said
+            said = meant_option(error) or f"No such option {error.option_name!r}"
         code = fail(f"{said} (see jaxurban --help)", _option_of(error))
     except click.ClickException as error:
         code = fail(error.format_message())

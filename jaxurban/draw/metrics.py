@@ -30,6 +30,7 @@ from jaxurban.draw.frame import (
 from jaxurban.draw.routes import (
     DrawnPath,
     Paths,
+    check_over,
     draw_paths,
     named_paths,
     path_entries,
@@ -510,8 +511,9 @@ def _with_routes(
       named: the routes with what they are called.
 
     Raises:
-      InputError: routes of which none is at an altitude of the panels.
+      InputError: routes of which none is at an altitude of the panels, or one that lies nowhere over the maps.
     """
+    check_over(maps.grid, [each.path for each in named])
     drawn = [
         [each for each in named if panel.altitude_m in (None, each.path.altitude_m)]
         for panel in panels

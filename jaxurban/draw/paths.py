@@ -49,6 +49,7 @@ from jaxurban.draw.routes import (
     DrawnPath,
     Paths,
     batch_line,
+    check_over,
     draw_paths,
     grid_said,
     named_paths,
@@ -118,7 +119,8 @@ def plot_paths(
       A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
-      InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
+      InputError: an altitude, time or time of day that these maps do not hold, another number of names than paths, or
+        a path that lies nowhere over the maps.
 
     Examples:
       >>> shortest = ju.plan(maps, start, goal, altitude_m=60.0, objective="distance")
@@ -129,6 +131,7 @@ def plot_paths(
     maps = as_maps(maps)
     named = named_paths(paths, names)
     planned = [each.path for each in named]
+    check_over(maps.grid, planned)
     if altitude_m is None:
         altitude_m = sorted({path.altitude_m for path in planned})
     places: list[CostChoice] = []
@@ -339,7 +342,8 @@ def plot_overview(
       A Matplotlib figure, or the part of one in place of ``ax``.
 
     Raises:
-      InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
+      InputError: an altitude, time or time of day that these maps do not hold, another number of names than paths, or
+        a path that lies nowhere over the maps.
 
     Examples:
       >>> ju.plot.plot_overview(maps, {"cheapest": path}).savefig("overview.png")
@@ -348,6 +352,7 @@ def plot_overview(
     maps = as_maps(maps)
     named = named_paths(paths, names)
     planned = [each.path for each in named]
+    check_over(maps.grid, planned)
     z = altitude_m
     if z is None:
         z = min((path.altitude_m for path in planned), default=maps.altitudes_m[0])

@@ -21,6 +21,7 @@ from jaxurban.errors import InputError
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import EVERY_PATH, Status
 from jaxurban.settings import DEFAULTS
+from jaxurban.world.grid import Grid
 
 # A family of planners has a hue, its members a dark and a light tone: the colour-blind see both.
 PLANNER_COLOURS = {
@@ -84,6 +85,16 @@ def paths_in(paths: Paths) -> list[PlannedPath]:
         if not isinstance(path, PlannedPath):
             raise InputError(f"paths must be paths from plan, got {type(path).__name__}")
     return planned
+
+
+def check_over(grid: Grid, paths: Iterable[PlannedPath]) -> None:
+    """Raise InputError where a path lies wholly beside the maps."""
+    for path in paths:
+        is_over = path.crs == grid.crs and grid.contains_xy(*path.xy_m.T).any()
+        if path.status.has_path and not is_over:
+            raise InputError(
+                "a path lies nowhere over these maps: give the maps that it was planned on"
+            )
 
 
 def planner_colours(planners: Iterable[str]) -> dict[str, str]:

@@ -3,6 +3,7 @@
 import math
 import re
 import string
+import sys
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -105,6 +106,19 @@ class Picture(Hints, Figure):
         file = BytesIO()
         self.savefig(file, format="png", dpi=SHOWN_DPI)
         return file.getvalue()
+
+    def show(self, warn: bool = True) -> None:
+        """Show the picture in a notebook; elsewhere there is no window for it.
+
+        Raises:
+          InputError: there is no notebook.
+        """
+        ipython = sys.modules.get("IPython")
+        if ipython is None or ipython.get_ipython() is None:
+            raise InputError(
+                'a picture has no window: write it to a file, as with savefig("picture.png")'
+            )
+        ipython.display.display(self)
 
     @printed
     def savefig(self, fname: Any, **options: Any) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.checks import at_least, one_of, typed
+from jaxurban.checks import at_least, typed
 from jaxurban.errors import InputError
 from jaxurban.flights.autopilots import ENOUGH_M, parameter_texts, typed_m
 from jaxurban.io.files import whole_file
@@ -130,8 +130,12 @@ class ReturnAltitude(FactsRepr):
           'home.tif'
         """
         file = Path(file)
-        if one_of("the end of a file's name", file.suffix, (".tif", "")) == "":
+        if not file.suffix:
             return self.maps.save(file, layers=[NAME])
+        if file.suffix != ".tif":
+            raise InputError(
+                f"cannot determine the format of {str(file)!r}: end its name in .tif, or name a folder without an end"
+            )
         values = np.asarray(self.altitude_m, np.float32)
         with whole_file(file) as scratch:
             write_cog(

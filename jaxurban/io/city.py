@@ -321,6 +321,7 @@ class City(FactsRepr):
         )
         return pixel.take((height_m != 0) & shapely.intersects(self.known_area, place))
 
+    @typed
     def plot(self, **form: Unpack[MapForm]) -> "Figure":
         """Return a picture of its heights, and of those that are guessed, before any map is made.
 

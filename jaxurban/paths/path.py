@@ -173,6 +173,7 @@ class PlannedPath(FactsRepr):
         explain = resolve_name("jaxurban.paths.explain:explain")
         return explain(self, maps, **options)
 
+    @typed
     def plot(self, maps: MapsLike | None = None, **form: Unpack[MapForm]) -> "Figure":
         """Return a picture of the path over the cost of the maps that it was planned on; `jaxurban.plot` draws several.
 

@@ -206,7 +206,7 @@ def _of_row(row: Mapping, place_columns: Sequence[str], base: Query) -> Query:
                 raise InputError(f"{end} needs two finite numbers, got {place}")
         if not np.isfinite(query.altitude_m):
             raise InputError(
-                "the altitude is missing: give altitude_m for all queries or in each row"
+                "the altitude is missing: give each row an altitude_m (plan_many takes one for all, too)"
             )
     except ValueError as error:  # InputError is one
         return replace(query, error=str(error))

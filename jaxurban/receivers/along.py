@@ -82,6 +82,7 @@ class SkyAt(FactsRepr):
         one_of("time", time, self.times)
         return sky_from(self._sight, self.lonlat, self.altitude_m, time=time)
 
+    @typed
     def plot(self, time: str | None = None, **form: Unpack[Form]) -> Any:
         """Return a picture of the sky at a time: the horizon, and which satellites are seen and hidden.
 

@@ -5,6 +5,7 @@ from typing import Any, Unpack
 
 import pandas as pd
 
+from jaxurban.checks import typed
 from jaxurban.errors import InputError
 from jaxurban.io.results import Result
 from jaxurban.pictures import MapForm
@@ -34,6 +35,7 @@ class StudyResult(Result):
         tables = self.report.tables
         return with_units({Path(name).stem: table for name, table in tables.items()})
 
+    @typed
     def plot(self, name: str, **form: Unpack[MapForm]) -> Any:
         """Return a picture of the report, which a notebook shows.
 

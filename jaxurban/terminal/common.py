@@ -474,10 +474,10 @@ def again(*dropped: str) -> str:
 def number_or_file(
     number: click.ParamType, ctx: click.Context, param: click.Parameter, text: str | None
 ) -> int | Path | None:
-    """Return what an option names: a number, or a file that is there."""
+    """Return what an option names: a number, also one out of range, or a file that is there."""
     if text is None:
         return None
-    kind = number if text.isdecimal() else GIVEN
+    kind = number if text.removeprefix("-").isdecimal() else GIVEN
     value: int | Path = kind.convert(text, param, ctx)
     return value
 

@@ -29,10 +29,15 @@ class Number(click.types.FloatParamType):
           BadParameter: a text that is no number.
           InputError: a length with its unit, where metres are meant.
         """
-        if param is not None:
-            is_length = "METRES" in (param.metavar or "") or str(param.name).endswith("_m")
-            check_metres(param.opts[0], value, "metres" * is_length)
+        _check_length(param, value)
         return super().convert(value, param, ctx)
+
+
+def _check_length(param: click.Parameter | None, value: Any) -> None:
+    """Raise InputError, which says the metres, for a length with its unit where an option is of metres."""
+    if param is not None:
+        is_length = "METRES" in (param.metavar or "") or str(param.name).endswith("_m")
+        check_metres(param.opts[0], value, "metres" * is_length)
 
 
 class WholeNumber(click.IntRange):
@@ -104,9 +109,11 @@ class Numbers(click.ParamType):
 
         Raises:
           BadParameter: something that is no number, or another count of numbers.
+          InputError: a length with its unit, where metres are meant.
         """
         if isinstance(value, tuple):
             return value
+        _check_length(param, str(value).split(","))
         try:
             numbers = tuple(float(part) for part in str(value).split(","))
         except ValueError:
@@ -161,6 +168,7 @@ class Values(click.ParamType):
         self.hints = get_type_hints(settings)
         self.texts = texts_of(settings)
         self.names = names or tuple(self.hints)
+        self.takes_number = isinstance(type_of(self.hints[self.names[0]]), Number)
 
     @property
     def rows(self) -> list[tuple[str, str]]:
@@ -183,7 +191,10 @@ class Values(click.ParamType):
         said = f"a name in {param.opts[0]}" if param else "a name"
         values: dict[str, Any] = {}
         for part in filter(None, value.split(",")):
-            given, _, text = part.rpartition("=")
+            given, equals, text = part.rpartition("=")
+            meant = near(text.strip(), self.names) if self.takes_number and not equals else []
+            if meant:
+                self.fail(f"{meant[0]} has no value: write {meant[0]}=NUMBER", param, ctx)
             name = one_of(said, given.strip() or self.names[0], self.names)
             if name in values:
                 self.fail(f"{name} stands twice: give it one value", param, ctx)

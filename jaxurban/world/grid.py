@@ -594,6 +594,8 @@ class Grid(Hints):
         hint = ""
         if self.is_swapped(lon_deg, lat_deg):
             hint = ": longitude and latitude look swapped"
+        elif np.any(np.abs(lat_deg) > 90):
+            hint = ": these look like metres: give degrees, or in Python ju.XY(x, y)"
         return (
             f"the point {np.asarray(lon_deg)}, {np.asarray(lat_deg)} (longitude comes first) is outside the region, "
             f"which spans about {west:.4f} to {east:.4f} and {south:.4f} to {north:.4f}{hint}"

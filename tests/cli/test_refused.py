@@ -26,6 +26,7 @@ ROUTE, ROUTES = (
     f"sensitivity maps {' '.join(ENDS)} --altitude 60 -o {{out}}",
     "sensitivity maps -o {out}",
 )
+PLACES = "start_lon,start_lat,goal_lon,goal_lat"
 REFUSED = [
     ("mpas", "mpas"),
     (
@@ -53,6 +54,16 @@ REFUSED = [
     ),
     ("maps section.toml -o {out}", "unknown section 'building' (did you mean 'buildings'?)"),
     ("maps key.toml -o {out}", "unknown key 'buildings.sorce' (did you mean 'source'?)"),
+    ("check maps town.toml", "'town.toml' is none of the files that are read here", ".plan"),
+    ("check maps maps", "'maps' is a folder, not a mission: name a file"),
+    ("check maps empty.plan", "'empty.plan' cannot be read as a mission (it is empty)"),
+    ("info empty.geojson", "'empty.geojson' cannot be read as a vector file (it is empty)"),
+    (f"{FROM}'\"maps\"'", "is a folder of maps", "name a file of buildings"),
+    (f"{PLAN} 60 --rules clearance", "clearance_m has no value: write clearance_m=NUMBER"),
+    (f"{ROUTES} --routes -3", "--routes", "-3 is not in the range"),
+    (f"{ROUTES} --routes swapped.csv", "query 1: start: ", "longitude and latitude look swapped"),
+    (f"{ROUTES} --routes low.csv", "query 1: the altitude is missing: give each row an altitude_m"),
+    (f"{ROUTES} --altitude 200ft", "--altitude is a number of metres", "write 60.96"),
     (f"{PLAN} high", "--altitude"),
     (f"{PLAN} 200ft", "--altitude is a number of metres, got '200ft': write 60.96"),
     (f"{PLAN} '60 m'", "got '60 m': write 60"),
@@ -154,6 +165,10 @@ def desk(made, tmp_path_factory):
     for name, text in {
         "file": "a file",
         "taken/notes.txt": "mine",
+        "empty.plan": "",
+        "empty.geojson": "",
+        "swapped.csv": f"{PLACES},altitude_m\n40.756,-73.999,40.76,-73.994,60\n",
+        "low.csv": f"{PLACES}\n-73.999,40.756,-73.994,40.76\n",
         "flown.plan": '{"fileType": "Plan", "mission": {"items": []}}',
         "section.toml": '[region]\nresolution_m = 20\n[building]\nsource = "synthetic"\n',
         "key.toml": '[region]\nresolution_m = 20\n[buildings]\nsorce = "synthetic"\n',
@@ -242,6 +257,8 @@ def test_a_command_that_runs_again_leaves_out_settings_that_a_shell_quotes():
     ("arguments", "sentence"),
     [
         (("check", "out", "a.plan", "--when", "16:00"), "No such option '--when': give --time"),
+        (("plan", "out", "--height", "60"), "No such option '--height': give --altitude"),
+        (("plan", "out", "--metric", "gps"), "No such option '--metric' (see jaxurban --help)"),
         (("check", "out", "a.plan", "--max-people", "9"), "give --limits max_people=..."),
         (("check", "out", "a.plan", "--ceiling", "50"), "give --limits ceiling_m=..."),
         (("maps", "a.toml", "-o", "out", "--workers", "abc"), "'abc' is not a valid whole number"),

@@ -183,7 +183,7 @@ def test_a_file_that_is_none_is_refused_in_a_sentence_and_no_file_is_left_or_rea
             {"file": name}
             for name in ("../own.plan", "/etc/own.plan", "a/own.plan", "a\\own.plan", "C:own.plan")
         ],
-        "cannot determine the format": [
+        "is none of the files that are read here": [
             {"file": name, "data": "AAEC"} for name in ("..", "", "own", "own.exe")
         ],
         "more than 16 MB": [{"data": base64.b64encode(bytes(2**24 + 1)).decode()}],

@@ -209,7 +209,7 @@ def _opened(
         kinds = [each for each in (sniff(path, text), path.suffix.lower()) if each in suffixes]
         if not kinds:
             raise InputError(
-                f"cannot determine the format of {str(path)!r}: end its name in one of {', '.join(suffixes)}"
+                f"{str(path)!r} is none of the files that are read here: give one of {', '.join(suffixes)}"
             )
         try:
             yield kinds[0], data

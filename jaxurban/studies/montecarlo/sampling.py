@@ -209,7 +209,7 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
       queries: from `read_queries`.
 
     Raises:
-      InputError: a query that cannot be read, or a place outside what the projection can show (names its row).
+      InputError: a query that cannot be read, or a place in degrees outside the maps (names its row).
     """
     maps = as_maps(maps)
     grid = maps.grid
@@ -224,7 +224,9 @@ def instances_of_queries(maps: MapsLike, queries: Sequence[Query]) -> pd.DataFra
             for end, place in (("start", query.start), ("goal", query.goal)):
                 xy_m: Any = place[:2]
                 if not isinstance(place, XY):
-                    xy_m = grid.xy_of_lonlat(*xy_m)
+                    lonlat, xy_m = xy_m, grid.xy_of_lonlat(*xy_m)
+                    if not grid.contains_xy(*xy_m):
+                        raise InputError(f"{end}: {grid.outside_said(*lonlat)}")
                 row |= _end_facts(grid, end, *xy_m)
         except InputError as error:
             raise InputError(f"query {number + 1}: {error}") from error
