@@ -1,4 +1,4 @@
-"""Pictures of metric maps and paths, as matplotlib Figures (in a notebook: ``%matplotlib inline`` shows them)."""
+"""Pictures of metric maps and paths, as matplotlib Figures, which a notebook shows (any but the last: ``show()``)."""
 
 from jaxurban.public import public_names
 

@@ -36,23 +36,24 @@ class StudyResult(Result):
         return with_units({Path(name).stem: table for name, table in tables.items()})
 
     @typed
-    def plot(self, name: str, **form: Unpack[MapForm]) -> Any:
+    def plot(self, name: str = "", **form: Unpack[MapForm]) -> Any:
         """Return a picture of the report, which a notebook shows.
 
         Args:
-          name: of the picture, as in the folder ``figures``.
+          name: of the picture, as in the folder ``figures``; left out, the error lists them.
           form: width, ax, title and, of maps, cmap, as in `MetricMaps.plot`.
 
         Returns:
           A Matplotlib figure, or the part of one.
 
         Raises:
-          InputError: the study has no such picture, or axes that are no cell of a grid.
+          InputError: no name, or one that no picture of the study has, or axes that are no cell of a grid.
         """
         figures = self.report.figures
         if name not in figures:
             drawn = ", ".join(figures) or "none"
-            raise InputError(f"the study has no picture {name!r}: name one of its own ({drawn})")
+            missing = f"the study has no picture {name!r}" if name else "no picture is named"
+            raise InputError(f"{missing}: name one of the study's own ({drawn})")
         return figures[name](**form)
 
 

@@ -637,7 +637,7 @@ def test_a_strange_item_is_refused_by_its_number(tmp_path, name):
 
 
 def test_wrong_arguments_are_refused(read):
-    with pytest.raises(ju.InputError, match=r"end its name in one of \.plan, \.waypoints"):
+    with pytest.raises(ju.InputError, match=r"give one of \.plan, \.waypoints"):
         read(b"", "mission.doc")
     with pytest.raises(ju.InputError, match="more than 16 MB"):
         read(b" " * (2**24 + 1))

@@ -108,7 +108,9 @@ def test_tables_have_units_and_pictures_show_themselves_and_fill_a_cell_of_anoth
         assert len(part.axes) == len(picture.axes)
         drawn = [np.size(image.get_array()) for image in part.findobj(AxesImage)]
         assert drawn == [np.size(image.get_array()) for image in picture.findobj(AxesImage)]
-        with pytest.raises(ju.InputError, match="has no picture 'none': name one of its own"):
+        with pytest.raises(
+            ju.InputError, match="has no picture 'none': name one of the study's own"
+        ):
             result.plot("none")
     assert len(page.subfigs) == 4
     assert len(page.axes) == sum(len(part.axes) for part in page.subfigs)
