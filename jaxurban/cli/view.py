@@ -17,7 +17,7 @@ from jaxurban.terminal.common import (
     SHOWN,
     SOURCES,
 )
-from jaxurban.terminal.options import WholeNumber, command
+from jaxurban.terminal.options import NumberRange, WholeNumber, command
 
 if TYPE_CHECKING:
     from jaxurban.settings import Preset
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @SHOWN(
     "--size",
     "size_mib",
-    type=click.FloatRange(min=1),
+    type=NumberRange(min=1),
     callback=lambda ctx, param, mib: finite("size_mib", mib),
     default=25,
     help="Largest size of --export, MiB.",

@@ -20,6 +20,8 @@ Decorator = Callable[[Callable], Callable]
 class Number(click.types.FloatParamType):
     """A number; a length in another unit than metres is answered with its metres."""
 
+    name = "number"
+
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
@@ -41,9 +43,29 @@ def _check_length(param: click.Parameter | None, value: Any) -> None:
 
 
 class WholeNumber(click.IntRange):
-    """A whole number in a range."""
+    """A whole number in a range; a length in another unit than metres is answered with its metres."""
 
     name = "whole number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number in a text.
+
+        Raises:
+          BadParameter: a text that is no whole number of the range.
+          InputError: a length with its unit, where metres are meant.
+        """
+        _check_length(param, value)
+        return super().convert(value, param, ctx)
+
+    def _describe_range(self) -> str:
+        """Return the range for the help, nothing of one without ends."""
+        return "" if self.min is self.max is None else super()._describe_range()
+
+
+class NumberRange(click.FloatRange):
+    """A number in a range."""
+
+    name = "number"
 
 
 ONE = {float: Number(), int: WholeNumber(), bool: click.BOOL, str: click.STRING}
