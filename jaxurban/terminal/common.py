@@ -276,7 +276,7 @@ RESOLUTION = NUMBER(
 CEILING = SHOWN(
     "--ceiling",
     "ceiling_m",
-    type=WholeNumber(),
+    type=WholeNumber(min=0),
     default=CEILING_M,
     metavar="METRES",
     help="Greatest height of a return, above the ground at home; legs are not held against it.",

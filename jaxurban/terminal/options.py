@@ -57,10 +57,6 @@ class WholeNumber(click.IntRange):
         _check_length(param, value)
         return super().convert(value, param, ctx)
 
-    def _describe_range(self) -> str:
-        """Return the range for the help, nothing of one without ends."""
-        return "" if self.min is self.max is None else super()._describe_range()
-
 
 class NumberRange(click.FloatRange):
     """A number in a range."""
