@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxurban.checks import typed
-from jaxurban.errors import InputError, warn
+from jaxurban.errors import InputError
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.registry import find_planner
 
@@ -31,7 +31,7 @@ def planned_cost(
     several paths tie, it is one element of the superdifferential. For any other planner it is the gradient of that
     path's cost, and no more. Multiplied on with the derivatives of the layers by thresholds or heights (soft maps),
     it gives the gradient with respect to them. Second derivatives are not defined. The cost is inf, and its gradient
-    0, where no path is found, which is warned of.
+    0, where no path is found.
 
     It runs under jit; the planner itself is called back on the host, one query after the other under vmap.
 
@@ -63,7 +63,6 @@ def planned_cost(
         query = problem.with_costs(np.asarray(costs, np.float64), np.asarray(weights, np.float64))
         path = planner(query)
         if not path.status.has_path:
-            warn(f"{path.status.sentence}: its cost is inf, and the gradient 0")
             return np.inf, np.zeros(len(query.weights)), np.zeros(query.is_free.shape)
         features = query.features(path.points_m)
         return features.cost(query.weights), features.phi, features.visits

@@ -480,8 +480,9 @@ TABLE: dict[str, dict[str, Any]] = {
         "time_of_day": "night",
         "width": "column",
         "title": "GPS downtown",
-        "ax": Case(5, refused="ax must be a cell"),
+        "ax": Case(5, refused="ax must be one cell"),
         "cmap": Case("none such", refused="cmap must be"),
+        "paths": Case(5, refused="paths must be paths"),
     },
     "MetricMaps.save": {"layers": ("hdop",)},
     "PlannedPath.save": {

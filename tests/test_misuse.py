@@ -258,7 +258,10 @@ WRONG_VALUES: tuple[tuple[Any, str], ...] = (
         "none such",
         "kind Protection.isd MetricMaps.plot.name sample_city.name sample_instances.weights",
     ),
-    ("none such", "OneRoute.breakpoints.name MetricMaps.plot.ax MetricMaps.plot.cmap"),
+    (
+        "none such",
+        "OneRoute.breakpoints.name MetricMaps.plot.ax MetricMaps.plot.cmap MetricMaps.plot.paths",
+    ),
     (3, "MetricMaps.plot.title"),
     (("gps.mask_deg",), "changes"),
     ((-1.0,), "other_pieces_m"),

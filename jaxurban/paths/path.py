@@ -174,11 +174,10 @@ class PlannedPath(FactsRepr):
         return explain(self, maps, **options)
 
     @typed
-    def plot(self, maps: MapsLike | None = None, **form: Unpack[MapForm]) -> "Figure":
+    def plot(self, **form: Unpack[MapForm]) -> "Figure":
         """Return a picture of the path over the cost of the maps that it was planned on; `jaxurban.plot` draws several.
 
         Args:
-          maps: others, or their folder; left out, those that it names.
           form: width, ax, title and cmap, as in `MetricMaps.plot`.
 
         Returns:
@@ -192,13 +191,11 @@ class PlannedPath(FactsRepr):
         """
         from jaxurban import plot  # imported here: it brings Matplotlib
 
-        if maps is None:
-            maps = self.maps
-        if maps is None:
+        if self.maps is None:
             raise InputError(
-                "the path names no maps to be drawn over: give them, as in path.plot(maps)"
+                "the path names no maps to be drawn over: give them, as in ju.plot.plot_paths(maps, [path])"
             )
-        return plot.plot_paths(maps, [self], **form)
+        return plot.plot_paths(self.maps, [self], **form)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the points' arrays as plain, JSON-ready values.

@@ -392,10 +392,8 @@ def test_below_a_route_that_climbs_stands_between_which_altitudes(maps):
     assert " m up" not in outcome_line(path, "astar")
 
 
-def test_a_method_takes_several_altitudes_other_maps_and_one_cell_of_its_own_width(maps):
+def test_a_method_takes_several_altitudes_and_one_cell_of_its_own_width(maps):
     assert len(titles_of(maps.plot("gps", [20.0, 60.0]))) == 2
-    path = replace(make_path(maps, "astar"), maps=None)
-    assert len(routes_of(panels_of(path.plot(maps))[0])) == 1
     with pytest.raises(ju.InputError, match="altitude_m must be"):
         maps.plot(None, [20.0, 60.0])
     _, cells = plt.subplots(1, 2)
