@@ -54,36 +54,17 @@ def read_citygml(path: Path, crs_names: set[str]) -> Iterator[dict[str, Any]]:
       InputError: it needs other files, has bent edges, or a DOCTYPE; the message lacks its name.
       ExpatError, ValueError, LookupError: a file that cannot be read.
     """
-    model = _Model()
-    builder = TreeBuilder()
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        """Open an element, without prefixes."""
-        own = {key.rpartition(":")[2]: text for key, text in attributes.items()}
-        if "href" in own and OTHER_FILE.fullmatch(own["href"]):
-            raise InputError(
-                f"refers to {own['href']!r}, and no other file is opened: write what is there into this one"
-            )
-        builder.start(name.rpartition(":")[2], own)
-
-    def end(name: str) -> None:
-        """Close an element; what a member holds is kept as objects alone."""
-        element = builder.end(name.rpartition(":")[2])
-        crs_names.add(element.get("srsName", ""))
-        if is_member(element.tag):
-            model.objects += map(model.object_of, element)
-            element.clear()
-
+    model = _Model(crs_names)
     parser = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartDoctypeDeclHandler = _refuse
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.CharacterDataHandler = builder.data
+    parser.StartElementHandler = model.start
+    parser.EndElementHandler = model.end
+    parser.CharacterDataHandler = model.builder.data
     for piece in pieces_of(path):
         parser.Parse(piece)
     parser.Parse(b"", True)
-    model.objects.append(model.object_of(builder.close()))  # with what no member holds
+    model.objects.append(model.object_of(model.builder.close()))  # with what no member holds
     model.draw_links(path.stat().st_size)
     return bodies_of(model.objects)
 
@@ -91,10 +72,34 @@ def read_citygml(path: Path, crs_names: set[str]) -> Iterator[dict[str, Any]]:
 class _Model:
     """What of a file is read so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, crs_names: set[str]) -> None:
+        """Begin without an object; ``crs_names`` as of `read_citygml`."""
+        self.crs_names = crs_names
+        self.builder = TreeBuilder()  # of what is read, but members that are objects by now
         self.objects: list[CityObject] = []  # that stand by themselves
         self.linked: set[CityObject] = set()  # with links, which are faces without rings
         self.elements: dict[Any, list[Face]] = {}  # the faces in each, by its id
+
+    def start(self, name: str, attributes: dict[str, str]) -> None:
+        """Open an element, without prefixes.
+
+        Raises:
+          InputError: a link to another file.
+        """
+        own = {key.rpartition(":")[2]: text for key, text in attributes.items()}
+        if "href" in own and OTHER_FILE.fullmatch(own["href"]):
+            raise InputError(
+                f"refers to {own['href']!r}, and no other file is opened: write what is there into this one"
+            )
+        self.builder.start(name.rpartition(":")[2], own)
+
+    def end(self, name: str) -> None:
+        """Close an element; what a member holds is kept as objects alone."""
+        element = self.builder.end(name.rpartition(":")[2])
+        self.crs_names.add(element.get("srsName", ""))
+        if is_member(element.tag):
+            self.objects += map(self.object_of, element)
+            element.clear()
 
     def object_of(self, element: Element) -> CityObject:
         """Return the object of an element."""
@@ -103,38 +108,49 @@ class _Model:
         return one
 
     def _fill(self, one: CityObject, element: Element, lod: float, label: str | None) -> None:
-        """Give an object what an element within it holds.
+        """Give an object what an element holds, and keep the faces of each child by its id.
 
         Args:
-          one: the object.
+          one: the object, which gets faces, pieces and attributes.
           element: its own, or one in it.
-          lod, label: of the faces in the element.
+          lod, label: of the faces in the element, as of `Face`.
         """
         for child in element:
-            name = child.tag
-            if is_beside(name):
+            if is_beside(child.tag):
                 continue
-            has_lod = lod_of(name)
-            inner_lod = float(has_lod[1]) if has_lod else lod
-            first = len(one.faces)
-            if name.endswith("Attribute") and child.get("name", "").lower() in METHODS:
-                one.origin = child.findtext("value")
-            elif name in VALUES:
-                unit = BESIDE_UNIT.sub("", child.get("uom", ""))
-                setattr(one, VALUES[name], f"{child.text or ''} {unit}")
-            elif "href" in child.attrib and inner_lod != NO_LEVEL:
-                one.faces.append(Face(inner_lod, child.attrib["href"][1:], []))
-                self.linked.add(one)
-            elif name in FACES:
-                one.draw(lod, label, [_shaped(_numbers(border)) for border in child])
-            elif name in POSITIONS:
-                one.faces.append(Face(lod, UNREAD, [_shaped(_numbers(child))]))
-            elif lod != NO_LEVEL or is_shape(name):
-                self._fill(one, child, inner_lod, name if is_label(name) else label)
-            else:
-                others = self.objects if name in TAGS else one.pieces
-                others.append(self.object_of(child))
-            self.elements[child.get("id")] = one.faces[first:]
+            num_before = len(one.faces)
+            self._add(one, child, lod, label)
+            self.elements[child.get("id")] = one.faces[num_before:]
+
+    def _add(self, one: CityObject, child: Element, lod: float, label: str | None) -> None:
+        """Give an object what one child is: an attribute, a link, a face, what holds further ones, or another object.
+
+        Args:
+          one, lod, label: as of `_fill`.
+          child: of the element.
+
+        Raises:
+          InputError: as of `_numbers`.
+        """
+        name = child.tag
+        has_lod = lod_of(name)
+        inner_lod = float(has_lod[1]) if has_lod else lod
+        if name.endswith("Attribute") and child.get("name", "").lower() in METHODS:
+            one.origin = child.findtext("value")
+        elif name in VALUES:
+            setattr(one, VALUES[name], _with_unit(child))
+        elif "href" in child.attrib and inner_lod != NO_LEVEL:
+            one.faces.append(Face(inner_lod, child.attrib["href"][1:], []))
+            self.linked.add(one)
+        elif name in FACES:
+            one.draw(lod, label, map(_vertices, child))
+        elif name in POSITIONS:
+            one.faces.append(Face(lod, UNREAD, [_vertices(child)]))
+        elif lod != NO_LEVEL or is_shape(name):
+            self._fill(one, child, inner_lod, name if is_label(name) else label)
+        else:
+            others = self.objects if name in TAGS else one.pieces
+            others.append(self.object_of(child))
 
     def draw_links(self, most: int) -> None:
         """Put faces in the place of links to them.
@@ -172,11 +188,18 @@ def _numbers(element: Element) -> list[float]:
     return [number for child in element for number in _numbers(child)]
 
 
-def _shaped(numbers: list[float]) -> np.ndarray:
-    """Return numbers as vertices, ``[V, 3]``; with z 0 if they have none, as only so they are closed."""
+def _vertices(element: Element) -> np.ndarray:
+    """Return the vertices in an element, ``[V, 3]``; with z 0 if they have none, as only so they are closed."""
+    numbers = _numbers(element)
     if numbers[:2] == numbers[-2:] and numbers[:3] != numbers[-3:]:
         return np.insert(np.reshape(numbers, (-1, 2)), 2, 0.0, axis=1)
     return np.reshape(numbers, (-1, 3))
+
+
+def _with_unit(element: Element) -> str:
+    """Return the text of a length, then the unit of its attribute as `parse_height_m` reads it."""
+    unit = BESIDE_UNIT.sub("", element.get("uom", ""))
+    return f"{element.text or ''} {unit}"
 
 
 def _refuse(*_: Any) -> None:
