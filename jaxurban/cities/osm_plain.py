@@ -55,23 +55,32 @@ def plain_osm(path: str | Path, remedy: str) -> Iterator[Path]:
         scratch_folder() as folder,
     ):
         kind = sniff(file)
-        plain = folder / "plain.osm"
         with in_own_words():
-            if kind == ".osm.json":
-                if file.stat().st_size > MOST_JSON:
-                    raise InputError(
-                        f"{name} is JSON of more than {MOST_JSON / 2**30:g} GiB: ask for XML (`[out:xml]`)"
-                    )
-                content = json.loads(file.read_bytes())
-                _check_is_whole(name, content.get("remark"))
-                _write(name, plain, content["elements"], osmium.io.Header())
-            elif kind == ".osm" and _needs_writing(name, file):
-                source = osmium.io.File(str(file), "osm")
-                with osmium.io.Reader(source, osmium.osm.NOTHING) as reader:
-                    _write(name, plain, _of_xml(file), reader.header())
-            else:
-                plain = file
+            plain = _as_plain(name, file, kind, folder / "plain.osm")
         yield plain
+
+
+def _as_plain(name: str, file: Path, kind: str, plain: Path) -> Path:
+    """Return a file, or where pyosmium cannot read it ``plain``, which is written then.
+
+    Args:
+      name: of the file, for messages.
+      file: unpacked.
+      kind: its format, by `sniff`.
+      plain: where to write.
+
+    Raises:
+      InputError: as of `plain_osm`.
+    """
+    if kind == ".osm.json":
+        _write(name, plain, _of_json(name, file), osmium.io.Header())
+        return plain
+    if kind == ".osm" and _needs_writing(name, file):
+        source = osmium.io.File(str(file), "osm")
+        with osmium.io.Reader(source, osmium.osm.NOTHING) as reader:
+            _write(name, plain, _of_xml(file), reader.header())
+        return plain
+    return file
 
 
 def _check_is_whole(name: str, remark: str | None) -> None:
@@ -101,6 +110,21 @@ def _needs_writing(name: str, file: Path) -> bool:
             or EDITED.search(text) is not None
             or PLACED.search(text) is not None
         )
+
+
+def _of_json(name: str, file: Path) -> list[Element]:
+    """Return the objects of JSON of the Overpass API.
+
+    Raises:
+      InputError: more than `MOST_JSON`, or cut short; ``name`` is for the message.
+    """
+    if file.stat().st_size > MOST_JSON:
+        raise InputError(
+            f"{name} is JSON of more than {MOST_JSON / 2**30:g} GiB: ask for XML (`[out:xml]`)"
+        )
+    content = json.loads(file.read_bytes())
+    _check_is_whole(name, content.get("remark"))
+    return content["elements"]
 
 
 def _of_xml(file: Path) -> Iterator[Element]:
@@ -137,12 +161,12 @@ class _PlainObjects:
     several times (with its tags, and again as what another one refers to) the last one with tags counts.
 
     Attributes:
-      by_key: the objects by the place of their kind in `OBJECTS` and their id, whose order is that of a file.
+      by_kind: the objects by kind, as in `OBJECTS`, and by id.
     """
 
     def __init__(self) -> None:
         """Begin without an object."""
-        self.by_key: dict[tuple[int, int], Any] = {}
+        self.by_kind: dict[str, dict[int, Any]] = {kind: {} for kind in OBJECTS}
         self._own_ids: defaultdict[tuple[str, str], int] = defaultdict(count(OWN_IDS).__next__)
 
     def id_of(self, kind: str, ref: Any) -> int:
@@ -161,9 +185,9 @@ class _PlainObjects:
             item = Relation(members=self._members(about))
         item.id = self.id_of(kind, ref)
         item.tags = about.get("tags")
-        key = OBJECTS.index(kind), item.id
-        if item.tags or key not in self.by_key:
-            self.by_key[key] = item
+        by_id = self.by_kind[kind]
+        if item.tags or item.id not in by_id:
+            by_id[item.id] = item
 
     def _node_ids(self, way: Element) -> list[int]:
         """Return the ids of a way's nodes, of which those with a place are added."""
@@ -202,12 +226,13 @@ def _write(name: str, plain: Path, elements: Iterable[Element], header: osmium.i
     for element in elements:
         if element["type"] in OBJECTS:
             objects.add(element["type"], element["id"], element)
-    in_order = sorted(objects.by_key)
-    if in_order and OBJECTS[in_order[0][0]] != "node":
+    nodes, ways, relations = objects.by_kind.values()
+    if (ways or relations) and not nodes:
         raise InputError(
             f"{name} holds ways or relations and not one node, so that their places are not known: end the query in "
             "`(._;>;); out;`, or in `out geom;`"
         )
     with osmium.SimpleWriter(str(plain), header=header) as writer:
-        for key in in_order:
-            writer.add(objects.by_key[key])
+        for by_id in (nodes, ways, relations):
+            for ref in sorted(by_id):
+                writer.add(by_id[ref])
