@@ -11,8 +11,11 @@ from jaxurban.cities.kinds import GARAGES, WATERS
 from jaxurban.cities.outlines import Outlines
 from jaxurban.cities.rules import GIVES, NAMES, RANKS, decide, labels_of
 from jaxurban.cities.signs import signs_of
-from jaxurban.io.issues import LEFT_OUT, ReadIssue, ReadIssues
+from jaxurban.io.issues import LEFT_OUT, ReadIssue, ReadIssues, num_of
 
+# Of each rule: as what it is counted that nothing stands, None where something does.
+COUNTED_AS = np.array([getattr(gives, "counted_as", None) for gives in GIVES], object)
+IS_SOMETHING = pd.isna(COUNTED_AS)
 LEVELS_BELOW = re.compile(r"(?:\D*(?<!\d)-\d+)+\D*")  # not -1-3, a range
 
 
@@ -32,11 +35,6 @@ def what_stands(outlines: Outlines, has_decks: bool) -> tuple[Outlines, ReadIssu
     """
     signs = signs_of(outlines, has_decks) | {"below": _is_below(outlines)}
     decided, beside, limits_m = decide(outlines, signs)
-    reason = np.array([getattr(gives, "counted_as", None) for gives in GIVES], object)[decided]
-    stands = pd.isna(reason)
-    reason[~stands & is_water(outlines)] = None
-    is_below = stands & signs["below"]
-    reason[is_below] = ReadIssue.UNDERGROUND
     more = {
         "verdict": GIVES[decided],
         "rule": NAMES[decided],
@@ -45,8 +43,23 @@ def what_stands(outlines: Outlines, has_decks: bool) -> tuple[Outlines, ReadIssu
         "is_part": signs["part"],
         "is_deck": decided == RANKS["deck of a bridge"],
     }
-    standing = replace(outlines, tags={**outlines.tags, **more}).take(stands & ~is_below)
-    return standing, {each: int(np.sum(reason == each)) for each in LEFT_OUT}
+    stands = IS_SOMETHING[decided] & ~signs["below"]
+    standing = replace(outlines, tags={**outlines.tags, **more}).take(stands)
+    return standing, _left_out(outlines, decided, signs["below"])
+
+
+def _left_out(outlines: Outlines, decided: np.ndarray, is_below: np.ndarray) -> ReadIssues:
+    """Return how many features do not stand, by reason.
+
+    Args:
+      outlines: ``N`` features.
+      decided: ``[N]`` the rule that decides on each.
+      is_below: ``[N]`` bool, which lie below the ground.
+    """
+    is_something = IS_SOMETHING[decided]
+    reason = np.where(is_something & is_below, ReadIssue.UNDERGROUND, COUNTED_AS[decided])
+    counted = reason[is_something | ~is_water(outlines)]
+    return {each: num_of(counted == each) for each in LEFT_OUT}
 
 
 def is_water(outlines: Outlines) -> np.ndarray:
