@@ -32,12 +32,9 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
       outlines: the features.
       has_decks: whether areas of bridges that are no buildings are decks.
     """
-    dimension = shapely.get_dimensions(outlines.polygons)
-    is_way = dimension > 0
-    is_area = ~np.isin(dimension, (0, 1))  # what has no shape may have been one
-    has_names = "building" in outlines.tags
+    shapes = _shape_signs(outlines)
     # As a building; in a file that never says it every area is one.
-    is_named = _has(outlines, "building") if has_names else is_area
+    is_named = _has(outlines, "building") if shapes["names"] else shapes["areas"]
     height_m, is_worded = _heights_beside(outlines, ~is_named)
     is_low = (height_m < LOW_M) | _has(outlines, "indoor")
     is_traffic = is_raised(outlines)
@@ -49,40 +46,66 @@ def signs_of(outlines: Outlines, has_decks: bool) -> Signs:
         "traffic above the ground": is_traffic,
     }
     is_own = ~np.logical_or.reduce([*of_something_else.values()])
-    has_levels = read_column(outlines.column("levels"), parse_count) > 0
-    is_unnamed = outlines.texts("building") == ""
-    is_buried = outlines.says("parking", [ReadIssue.UNDERGROUND])
-    is_unknown = np.isnan(height_m) & ~(is_worded | is_named) & (outlines.texts("wind") == "")
     return {
-        **_building_signs(outlines, is_area, has_names, has_decks),
+        **shapes,
         **of_something_else,
+        **_building_signs(outlines, shapes, is_own, has_decks),
         **_height_signs(outlines, height_m, is_own),
-        "names": has_names,
+        **_thing_signs(outlines, np.isnan(height_m) & ~is_worded & ~is_named),
+        "low": is_low,
+        "height in words": is_worded,
+        "pond": shapes["areas"] & outlines.says("natural", ["water"]),
+        "way of traffic above the ground": is_traffic & shapes["ways"] & ~is_low,
+    }
+
+
+def _shape_signs(outlines: Outlines) -> Signs:
+    """Return the signs of shapes; something is lone only beside buildings that the file names."""
+    dimension = shapely.get_dimensions(outlines.polygons)
+    is_way = dimension > 0
+    is_area = ~np.isin(dimension, (0, 1))  # what has no shape may have been one
+    has_names = "building" in outlines.tags
+    return {
         "points": ~is_way,
         "ways": is_way,
         "areas": is_area,
+        "names": has_names,
         "lone things": has_names,
         "lone areas": is_area & has_names,
         "lone points": ~is_way & has_names,
-        "low": is_low,
-        "pond": is_area & outlines.says("natural", ["water"]),
-        "way of traffic above the ground": is_traffic & is_way & ~is_low,
-        "wind turbine": (
-            outlines.says("wind", WIND) | _has(outlines, "rotor") | _has(outlines, "hub")
-        ),
-        "generator of unknown source and height": (
-            is_unknown & outlines.says("power", ["generator"])
-        ),
+    }
+
+
+def _building_signs(
+    outlines: Outlines, shapes: Signs, is_own: np.ndarray, has_decks: bool
+) -> Signs:
+    """Return which features are buildings by their tags.
+
+    Args:
+      outlines, has_decks: as of `signs_of`.
+      shapes: of `_shape_signs`.
+      is_own: ``[N]`` bool, whether what a file says of heights and levels is of what stands.
+    """
+    is_area, has_names = shapes["areas"], shapes["names"]
+    is_part = _has(outlines, "part")
+    is_building = _has(outlines, "building") | (is_part & has_names)
+    is_building &= ~outlines.says("building", NOT_BUILT)
+    is_bridge = outlines.says("man_made", [DECK])
+    has_levels = read_column(outlines.column("levels"), parse_count) > 0
+    is_unnamed = outlines.texts("building") == ""
+    is_buried = outlines.says("parking", [ReadIssue.UNDERGROUND])
+    return {
+        "part": is_part,
+        "area in a file that names no buildings": is_area & (not has_names),
+        "deck of a bridge": is_bridge & has_decks & is_area & ~is_part,
+        "building": is_building & is_area,
+        "building without an area": is_building & ~is_area,
         "levels of a building": has_levels & has_names & is_own & is_unnamed & ~is_buried,
-        "artwork of unknown type": (
-            outlines.says("tourism", ["artwork"]) & (outlines.texts("artwork_type") == "")
-        ),
-        "height in words": is_worded,
     }
 
 
 def _height_signs(outlines: Outlines, height_m: np.ndarray, is_own: np.ndarray) -> Signs:
-    """Return the signs of `signs_of` by heights, ``[N]``, that are the features' own, or of something else."""
+    """Return the signs by heights, ``[N]`` metres, that are the features' own, or of something else."""
     is_high = is_own & (height_m >= LOW_M)
     is_beyond = is_own & (height_m > MAX_HEIGHT_M)
     return {
@@ -93,20 +116,22 @@ def _height_signs(outlines: Outlines, height_m: np.ndarray, is_own: np.ndarray) 
     }
 
 
-def _building_signs(
-    outlines: Outlines, is_area: np.ndarray, has_names: bool, has_decks: bool
-) -> Signs:
-    """Return which features are buildings by their tags, as of `signs_of`."""
-    is_part = _has(outlines, "part")
-    is_building = _has(outlines, "building") | (is_part & has_names)
-    is_building &= ~outlines.says("building", NOT_BUILT)
-    is_bridge = outlines.says("man_made", [DECK])
+def _thing_signs(outlines: Outlines, is_bare: np.ndarray) -> Signs:
+    """Return the signs of wind turbines, generators and artworks.
+
+    Args:
+      outlines: the features.
+      is_bare: ``[N]`` bool, which are no building by their tags and have no height.
+    """
+    is_turbine = outlines.says("wind", WIND) | _has(outlines, "rotor") | _has(outlines, "hub")
+    is_generator = outlines.says("power", ["generator"])
+    is_artwork = outlines.says("tourism", ["artwork"])
     return {
-        "part": is_part,
-        "area in a file that names no buildings": is_area & (not has_names),
-        "deck of a bridge": is_bridge & has_decks & is_area & ~is_part,
-        "building": is_building & is_area,
-        "building without an area": is_building & ~is_area,
+        "wind turbine": is_turbine,
+        "generator of unknown source and height": (
+            is_generator & is_bare & (outlines.texts("wind") == "")
+        ),
+        "artwork of unknown type": is_artwork & (outlines.texts("artwork_type") == ""),
     }
 
 
