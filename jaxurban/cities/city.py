@@ -408,23 +408,22 @@ def read_buildings(
         cells that are not heights or look like elevations, or a surface without terrain or that is not a raster.
     """
     projected_crs(crs)
-    for kind in file.highest_m if isinstance(file.highest_m, Mapping) else ():
-        one_of("a kind of highest_m", kind, ALL_KINDS)
+    if isinstance(file.highest_m, Mapping):
+        for kind in file.highest_m:
+            one_of("a kind of highest_m", kind, ALL_KINDS)
     path = Path(file.source)
-    read = _reader_of(path, file.crs)
-    _check_settings_fit(file, read)
-    if read is None:
+    reader = _reader_of(path, file.crs)
+    _check_settings_fit(file, reader)
+    if reader is None:
         return _read_roofs(file, crs, bounds_m, terrain)
-    if beside is not None:
-        read = partial(read_vector, beside=located(beside))
+    read = reader if beside is None else partial(read_vector, beside=located(beside))
     # A small file is read whole, and a large one says nothing of unknown heights: they are the same for each region.
     is_small = path.suffix != ARCHIVE and path.is_file() and path.stat().st_size <= SMALL_BYTES
-    if bounds_m is not None:
-        near = None if is_small else Near(bounds_m, crs)
-        outlines = whole or read(path, near, file)
-        city = _city_of(file, outlines, crs, bounds_m, is_small)
-        if not outlines.is_part or len(city.buildings or ()):
-            return city
+    near = None if is_small or bounds_m is None else Near(bounds_m, crs)
+    outlines = whole or read(path, near, file)
+    city = _city_of(file, outlines, crs, bounds_m, is_small)
+    if city.buildings or not outlines.is_part:
+        return city
     # A file without a building near the region is read whole, so that all it covers is known.
     return _city_of(file, read(path, None, file), crs, bounds_m, is_small)
 
