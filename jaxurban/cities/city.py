@@ -158,35 +158,11 @@ def read_city(
     files = named.files(kinds)
     placed = _Sections(*map(_placed, named))
     check_has_people(placed.people, placed.people.has_blocks)
-
-    # The region, its ground, and what stands on it.
-    covered, outlines = asked, None
-    if asked is None:
-        covered, outlines = _extent(placed.buildings.source, placed.buildings.crs, placed.buildings)
-    has_relief = placed.terrain.source is not None
-    region = _region_of(covered, crs, gps or Gps(), has_relief)
-    ground, ground_extent_m, of_ground = _read_ground(placed, region)
-    plants, of_plants = _read_plants(placed, ground, region)
-    standing = read_buildings(
-        placed.buildings,
-        region.crs,
-        bounds_m=region.wide_m,
-        terrain=ground,
-        beside=files["structures"],
-        whole=outlines,
-    )
-    del outlines  # as large as the city
-    _check_heights(placed.buildings, standing, ground)
-    _check_is_not_empty(placed.buildings, standing, region)
-    if asked is None:
-        _warn_of_far_buildings(placed.buildings, standing, region)
+    region, standing = _read_standing(placed, files["structures"], asked, crs, gps or Gps())
     blocks, block_issues, of_people = _read_people(placed.people, region)
-
     city = replace(
         standing,
         blocks=blocks,
-        terrain=ground,
-        terrain_extent_m=ground_extent_m,
         read_issues={**standing.read_issues, **block_issues},
         attribution=joined_credits(standing.attribution, *(each.credit for each in placed)),
         sources={role: str(path) for role, path in files.items() if path is not None},
@@ -194,13 +170,58 @@ def read_city(
         gps=own_gps,
         population=population and placed.people,
         heights=placed.buildings,
-        vegetation=plants,
         kinds=kinds,
     )
     of_city = _guesses_of(city, placed.buildings, region)
-    guesses = of_ground + of_plants + of_city + of_people + _relief_guesses(city, region)
+    guesses = of_city + of_people + _relief_guesses(city, region)
     warn_of(guesses)
     return replace(city, guesses=guesses)
+
+
+def _read_standing(
+    sections: _Sections,
+    structures: str | None,
+    asked: Sequence[float] | None,
+    crs: str | None,
+    gps: Gps,
+) -> tuple[_Region, City]:
+    """Return the region of a city, and a city of its ground and of what stands on it.
+
+    Args:
+      sections: which name the files by their paths.
+      structures: as ``beside`` of `read_buildings`.
+      asked: bounds of the region, degrees; None for all that the file of buildings covers.
+      crs, gps: as of `_region_of`.
+
+    Raises:
+      InputError: as of `City.from_files`, but of people.
+    """
+    file = sections.buildings
+    covered, outlines = asked, None
+    if asked is None:
+        covered, outlines = _extent(file.source, file.crs, file)
+    region = _region_of(covered, crs, gps, sections.terrain.source is not None)
+    ground, ground_extent_m, of_ground = _read_ground(sections, region)
+    plants, of_plants = _read_plants(sections, ground, region)
+    city = read_buildings(
+        file,
+        region.crs,
+        bounds_m=region.wide_m,
+        terrain=ground,
+        beside=structures,
+        whole=outlines,
+    )
+    _check_heights(file, city, ground)
+    _check_is_not_empty(file, city, region)
+    if asked is None:
+        _warn_of_far_buildings(file, city, region)
+    return region, replace(
+        city,
+        terrain=ground,
+        terrain_extent_m=ground_extent_m,
+        vegetation=plants,
+        guesses=of_ground + of_plants + city.guesses,
+    )
 
 
 def _with_lidar(sections: _Sections) -> _Sections:
@@ -317,7 +338,7 @@ def _read_people(people: Population, region: _Region) -> tuple[Blocks | None, Re
 
 
 def _guesses_of(city: City, file: settings.Buildings, region: _Region) -> Guesses:
-    """Return what was guessed of roofs, of heights, of what else stands, and of what has no shape."""
+    """Return ``city.guesses`` and what was guessed of heights, of what else stands, and of what has no shape."""
     guesses = (
         *city.guesses,
         *height_guesses(city.buildings, city.learned, region.crs, region.box_m, file),
