@@ -96,6 +96,43 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
       InputError: a library is missing, a damaged file, no points, points outside the box of the header, no CRS, or a
         unit of heights that is not known.
     """
+    layers, counts, cells, crs = _read_layers(path, declared)
+    first_growing = _first_growing(kind, counts)
+    roofs = np.fmax.reduce(layers[:first_growing])
+    plants = np.fmax.reduce(layers[first_growing:GROUND], initial=np.nan)
+    is_low = _is_far_below(layers[GROUND], max(FAR_BELOW_M, FAR_BELOW_SIDES * cells.side))
+    ground = np.where(is_low, np.float32(np.nan), layers[GROUND])
+    transform = (cells.side, 0.0, cells.left, 0.0, cells.side, cells.low)
+    on_grid = partial(Raster, transform=transform, crs=crs.to_2d().to_string())
+    by_class = {f"of class {number}": int(count) for number, count in enumerate(counts)}
+    return Points(
+        on_grid(ground),
+        on_grid(np.where(np.isnan(roofs), ground, roofs)),
+        on_grid(plants),
+        on_grid(np.fmax.reduce([roofs, plants, ground])),
+        by_class | {ReadIssue.GROUND_FAR_BELOW: num_of(is_low)},
+    )
+
+
+def _first_growing(kind: str, counts: np.ndarray) -> int:
+    """Return the first layer that grows: layers before it are built, and those from it to the ground grow.
+
+    Args:
+      kind: as of `read_points`.
+      counts: ``[256]`` points by class.
+    """
+    if kind == "surface":
+        return GROUND
+    return UNCLASSIFIED if counts[LAYER_OF == BUILT].any() else PLANTS
+
+
+def _read_layers(
+    path: str | Path, declared: str | None
+) -> tuple[np.ndarray, np.ndarray, "_Cells", CRS]:
+    """Return the layers of a file and its points by class, as of `_heights_by_layer`, the cells and their CRS.
+
+    Arguments and errors are those of `read_points`.
+    """
     name = repr(str(path))
     try:
         import laspy
@@ -119,31 +156,7 @@ def read_points(path: str | Path, kind: str, declared: str | None) -> Points:
         cells = _cells_over(name, header, crs)
         layers, counts = _heights_by_layer(reader, cells, unit_m)
         _check_no_more(name, reader, counts.sum())
-
-    # Layers before this one are built, and those from it to the ground grow.
-    if kind == "surface":
-        first_growing = GROUND
-    elif counts[LAYER_OF == BUILT].any():
-        first_growing = UNCLASSIFIED
-    else:
-        first_growing = PLANTS
-    roofs = np.fmax.reduce(layers[:first_growing])
-    plants = np.fmax.reduce(layers[first_growing:GROUND], initial=np.nan)
-
-    is_low = _is_far_below(layers[GROUND], max(FAR_BELOW_M, FAR_BELOW_SIDES * cells.side))
-    ground = np.where(is_low, np.float32(np.nan), layers[GROUND])
-    surface = np.where(np.isnan(roofs), ground, roofs)
-    highest = np.fmax.reduce([roofs, plants, ground])
-    transform = (cells.side, 0.0, cells.left, 0.0, cells.side, cells.low)
-    on_grid = partial(Raster, transform=transform, crs=crs.to_2d().to_string())
-    by_class = {f"of class {number}": int(count) for number, count in enumerate(counts)}
-    return Points(
-        on_grid(ground),
-        on_grid(surface),
-        on_grid(plants),
-        on_grid(highest),
-        by_class | {ReadIssue.GROUND_FAR_BELOW: num_of(is_low)},
-    )
+    return layers, counts, cells, crs
 
 
 class _Cells(NamedTuple):
