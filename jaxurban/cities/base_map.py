@@ -14,7 +14,7 @@ import shapely
 from osmium.filter import KeyFilter
 
 from jaxurban.cities.land_cover import areas_and_coast, projected, read_land_cover, runs_of, sea
-from jaxurban.cities.osm import OSM_CREDIT, is_osm, open_osm
+from jaxurban.cities.osm import OSM_CREDIT, TO_WKB, is_osm, open_osm
 from jaxurban.cities.osm_plain import plain_osm
 from jaxurban.errors import readable
 from jaxurban.io.geoparquet import read_geoparquet
@@ -47,6 +47,7 @@ PLACES = (
     "islet",
     "square",
 )
+OF_LINES_AND_PLACES = KeyFilter("highway", "railway", "place")
 TOLERANCE_M = 1.0  # lines are simplified to it
 LEAST_M2 = 50.0  # smaller waters and parks are left out
 STEP_DEG = 1e-6  # of coordinates, about 0.1 m
@@ -136,17 +137,10 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     Raises:
       InputError: the file cannot be read.
     """
-    to_wkb = osmium.geom.WKBFactory()
     with plain_osm(path, "fetch it again") as plain:
         rows, coast = areas_and_coast(plain)
-        item: Any
-        for item in open_osm(plain).with_filter(KeyFilter("highway", "railway", "place")):
-            kind = _kind_of(item)
-            name = item.tags.get("name") or ""
-            if item.is_node() and kind == "place" and name:
-                rows.append((kind, name, to_wkb.create_point(item)))
-            elif item.is_way() and kind not in ("", "place"):
-                rows += [(kind, name, line.wkb_hex) for line in runs_of(item)]
+        for item in open_osm(plain).with_filter(OF_LINES_AND_PLACES):
+            rows += _rows_of(item)
 
     # The features near the box and the sea, joined by kind and name.
     table = pd.DataFrame(rows, columns=["kind", "name", "shape"])
@@ -158,19 +152,36 @@ def _from_osm(path: str | Path, crs: str, bounds_m: Bounds) -> gpd.GeoDataFrame:
     if not wet.is_empty:
         frame.loc[len(rows)] = ["water", "", wet]
     frame = frame.dissolve(["kind", "name"], as_index=False)[["kind", "name", "geometry"]]
+    shapes = _simplified(frame.geometry.to_numpy().copy(), frame["kind"].to_numpy())
+    order = np.argsort(list(map(KINDS.index, frame["kind"])), kind="stable")
+    return frame.set_geometry(shapes, crs=crs).iloc[order].reset_index(drop=True)
 
-    # Valid areas and lines in one piece, simplified.
-    kind = frame["kind"].to_numpy()
+
+def _rows_of(item: Any) -> list[tuple[str, str, str]]:
+    """Return kind, name and WKB in hexadecimal of the lines of a street or a rail, or of a place that has a name."""
+    kind = _kind_of(item)
+    name = item.tags.get("name") or ""
+    if kind == "place":
+        return [(kind, name, TO_WKB.create_point(item))] if item.is_node() and name else []
+    if not kind or not item.is_way():
+        return []
+    return [(kind, name, line.wkb_hex) for line in runs_of(item)]
+
+
+def _simplified(shapes: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    """Return valid areas, empty where they are smaller than `LEAST_M2`, and lines in one piece, simplified.
+
+    Args:
+      shapes: ``[N]`` of areas, lines and points in a CRS in metres; changed in place.
+      kind: ``[N]`` of `KINDS`.
+    """
     is_area = np.isin(kind, ("water", "park"))
     is_line = ~is_area & (kind != "place")
-    shapes = frame.geometry.to_numpy().copy()
     shapes[is_area] = shapely.make_valid(shapes[is_area])
     shapes[is_line] = shapely.line_merge(shapes[is_line])
-    shapes = shapely.simplify(shapes, TOLERANCE_M)
-    shapes[is_area & (shapely.area(shapes) < LEAST_M2)] = shapely.Polygon()
-
-    order = np.argsort(list(map(KINDS.index, kind)), kind="stable")
-    return frame.set_geometry(shapes, crs=crs).iloc[order].reset_index(drop=True)
+    simple = shapely.simplify(shapes, TOLERANCE_M)
+    simple[is_area & (shapely.area(simple) < LEAST_M2)] = shapely.Polygon()
+    return simple
 
 
 def _kind_of(item: osmium.osm.OSMObject) -> str:

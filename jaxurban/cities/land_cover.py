@@ -8,7 +8,7 @@ import osmium
 import shapely
 from osmium.filter import TagFilter
 
-from jaxurban.cities.osm import open_osm
+from jaxurban.cities.osm import TO_WKB, open_osm
 from jaxurban.cities.osm_plain import plain_osm
 from jaxurban.errors import warn
 from jaxurban.world.grid import WGS84, Bounds, transformer
@@ -70,13 +70,12 @@ def areas_and_coast(
     """
     rows: list[tuple[str, str, str]] = []
     coast = []
-    to_wkb = osmium.geom.WKBFactory()
     areas = TagFilter(*WATER, *PARK)
     item: Any
     for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
         if item.is_area() and item.num_rings()[0] and has_tag(item, WATER + PARK):
             kind = "water" if has_tag(item, WATER) else "park"
-            rows.append((kind, item.tags.get("name") or "", to_wkb.create_multipolygon(item)))
+            rows.append((kind, item.tags.get("name") or "", TO_WKB.create_multipolygon(item)))
         elif item.is_way() and has_tag(item, (COAST,)):
             coast += runs_of(item)
     return rows, coast
