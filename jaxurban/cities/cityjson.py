@@ -51,16 +51,28 @@ def read_cityjson(path: Path, crs_names: set[str]) -> Iterator[dict[str, Any]]:
         vertices = vertices * transform.get("scale", 1.0) + transform.get("translate", 0.0)
         things = document["CityObjects"]
         objects = {name: _object(thing, vertices) for name, thing in things.items()}
-        pieces = set()
-        for name, thing in things.items():
-            is_piece = PIECE.fullmatch(thing["type"])
-            for parent in thing.get("parents") or ():
-                if is_piece and parent in things:
-                    objects[parent].pieces.append(objects[name])
-                    pieces.add(name)
-                    break
-        # Pieces come last: those whose parents are each other's, and so in no whole, stand by themselves.
-        yield from bodies_of(map(objects.__getitem__, sorted(objects, key=pieces.__contains__)))
+        yield from bodies_of(_wholes_first(things, objects))
+
+
+def _wholes_first(
+    things: dict[str, dict[str, Any]], objects: dict[str, CityObject]
+) -> list[CityObject]:
+    """Return objects, which get their pieces; last come pieces, as those whose parents are each other's stand alone.
+
+    Args:
+      things: the objects by name, as the file has them.
+      objects: the same, without their pieces.
+    """
+    wholes, pieces = [], []
+    for name, thing in things.items():
+        is_piece = PIECE.fullmatch(thing["type"])
+        parents = [each for each in thing.get("parents") or () if is_piece and each in things]
+        if parents:
+            objects[parents[0]].pieces.append(objects[name])
+            pieces.append(objects[name])
+        else:
+            wholes.append(objects[name])
+    return wholes + pieces
 
 
 def _documents(path: Path) -> Iterator[dict[str, Any]]:
@@ -86,22 +98,35 @@ def _object(thing: dict[str, Any], vertices: np.ndarray) -> CityObject:
         if name.lower() in METHODS:
             one.origin = facts[name]
     for geometry in thing.get("geometry") or ():
-        lod = float(geometry.get("lod", NO_LEVEL))
-        if not np.isfinite(lod):
-            raise ValueError(lod)
-        depth = SHELLS[geometry["type"]]
-        if depth is None:
-            continue
-        meanings = geometry.get("semantics") or {}
-        labels = dict(enumerate(each["type"] for each in meanings.get("surfaces", ())))
-        values = _of_faces(meanings.get("values"), depth)
-        for face, value in zip_longest(_of_faces(geometry["boundaries"], depth), values):
-            if geometry["type"] == "MultiLineString":
-                one.faces.append(Face(lod, UNREAD, [_corners(face, vertices)]))
-                continue
-            label = None if value is None else labels[value]
-            one.draw(lod, label, [_corners(ring, vertices) for ring in face if ring])
+        _draw(one, geometry, vertices)
     return one
+
+
+def _draw(one: CityObject, geometry: dict[str, Any], vertices: np.ndarray) -> None:
+    """Add the faces of a geometry to an object.
+
+    Args:
+      one: the object.
+      geometry: as the file has it; points and what a template draws add nothing.
+      vertices: ``[V, 3]`` x, y and z.
+
+    Raises:
+      ValueError: a level of detail that is no number, and as of `_corners`.
+    """
+    lod = float(geometry.get("lod", NO_LEVEL))
+    if not np.isfinite(lod):
+        raise ValueError(lod)
+    depth = SHELLS[geometry["type"]]
+    if depth is None:
+        return
+    meanings = geometry.get("semantics") or {}
+    labels = {None: None} | dict(enumerate(each["type"] for each in meanings.get("surfaces", ())))
+    numbers = _of_faces(meanings.get("values"), depth)
+    for face, number in zip_longest(_of_faces(geometry["boundaries"], depth), numbers):
+        if geometry["type"] == "MultiLineString":
+            one.faces.append(Face(lod, UNREAD, [_corners(face, vertices)]))
+        else:
+            one.draw(lod, labels[number], [_corners(ring, vertices) for ring in face if ring])
 
 
 def _corners(indices: list[Any], vertices: np.ndarray) -> np.ndarray:
