@@ -212,29 +212,34 @@ def tags_of_table(
     tags = tags_of(values, Path(file.source).name, file.height_column or "")
     if file.levels_column is not None:
         tags["levels"] = columns[file.levels_column]
-
-    # Lengths: as the settings say, as a publisher does, or in metres.
-    roof = _plain(file.height_column or "")
-    ground = _plain(file.ground_column or "")
-    unit = file.unit
-    if not roof and schema:
-        roof = schema.split()[0]
-        ground = GROUNDS.get(roof, "")
-        unit = SCHEMAS[schema]
+    roof, ground, unit_m = _columns_of_heights(file, schema)
     if not roof:
         _refuse_unclear_heights(columns, tags, file, crs)
-    unit_m = UNITS_M[unit or "m"]
+        return tags
     if ground:
         tops, bottoms = (pd.to_numeric(values[name], errors="coerce") for name in (roof, ground))
         tags["height"] = np.asarray(tops - bottoms) * unit_m
-    elif roof:
+    else:
         height = _in_metres(values[roof], unit_m)
-        if not file.height_column:
-            height = _filled(height, tags.get("height", height))
-        tags["height"] = height
+        others = height if file.height_column else tags.get("height", height)
+        tags["height"] = _filled(height, others)
     if "min_height" in tags:
         tags["min_height"] = _in_metres(tags["min_height"], unit_m)
     return tags
+
+
+def _columns_of_heights(file: settings.Buildings, schema: str) -> tuple[str, str, float]:
+    """Return the plain names of the columns of roofs and of the ground, empty without one, and metres in their unit.
+
+    Args:
+      file: whose settings come first.
+      schema: of `SCHEMAS`, empty without one.
+    """
+    if file.height_column or not schema:
+        roof, ground = file.height_column or "", file.ground_column or ""
+        return _plain(roof), _plain(ground), UNITS_M[file.unit or "m"]
+    roof = schema.split()[0]
+    return roof, GROUNDS.get(roof, ""), UNITS_M[SCHEMAS[schema]]
 
 
 def _filled(column: np.ndarray, other: np.ndarray) -> np.ndarray:
