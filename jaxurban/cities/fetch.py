@@ -293,7 +293,7 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
     Raises:
       InputError: a file cannot be had or read (then its copy in the cache is removed), or all were left out.
     """
-    # The scenario's settings by section: what every scenario names, then what each source adds.
+    # The scenario's settings by section: those of all scenarios, then those of each source.
     today = datetime.now(UTC).date()
     settings: Settings = {
         "region": {"bounds": list(job.bounds)},
@@ -302,33 +302,17 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
     files = []
     left_out = []
     for source in sources:
-        # The download, and the sections of the scenario that use it.
         path = download(source, most_bytes)
-        try:
-            with readable(
-                path,
-                f"{source.name} data",
-                "run the same command again",
-                *BROKEN,
-                what=source.url,
-            ):
-                sections = READERS[source.name](job, path, source.file)
-        except InputError as error:
-            path.unlink()  # so that the same command downloads it again
-            raise InputError(str(error).replace(str(path), source.url)) from error
+        sections = _sections_of(job, source, path)
         if not sections:
             left_out.append(NONE_HERE[source.name])
             continue
-
-        # The file, its settings and its entry in the record.
         shutil.copyfile(path, stage / source.file)
         for section, values in sections.items():
             settings.setdefault(section, {}).update(values)
         files.append(_entry_of(source, path))
     if not files:
         raise InputError(f"nothing of --what can be fetched here ({'; '.join(left_out)})")
-
-    # The record, and the scenario, whose head credits the sources.
     record = {"bounds": list(job.bounds), "files": files, "left_out": left_out}
     (stage / RECORD_FILE).write_text(
         json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
@@ -336,12 +320,37 @@ def _fetch(job: FetchJob, sources: Sequence[Source], stage: Path, most_bytes: in
     if "blocks" not in settings.get("population", {}):  # districts alone make no population
         settings.pop("population", None)
     if "buildings" in settings:
-        credits = [f"# {file['source']}: {file['credit']} ({file['licence']})" for file in files]
-        head = "\n".join(
-            ["# Made by jaxurban fetch; fetch.json says where each file is from.", *credits]
-        )
-        (stage / SCENARIO_FILE).write_text(f"{head}\n\n{tomli_w.dumps(settings)}", encoding="utf-8")
+        scenario = f"{_head_of(files)}\n\n{tomli_w.dumps(settings)}"
+        (stage / SCENARIO_FILE).write_text(scenario, encoding="utf-8")
     return record
+
+
+def _sections_of(job: FetchJob, source: Source, path: Path) -> Settings:
+    """Return the sections of a scenario that use a download, empty where it has nothing in the region.
+
+    Args:
+      job: its region and day.
+      source: of the file, whose URL messages name.
+      path: of the file in the cache.
+
+    Raises:
+      InputError: it cannot be read, and is removed, so that the same command downloads it again.
+    """
+    kind = f"{source.name} data"
+    try:
+        with readable(path, kind, "run the same command again", *BROKEN, what=source.url):
+            return READERS[source.name](job, path, source.file)
+    except InputError as error:
+        path.unlink()
+        raise InputError(str(error).replace(str(path), source.url)) from error
+
+
+def _head_of(files: Sequence[Settings]) -> str:
+    """Return the comment above a scenario, which credits the sources of its files, as of `_entry_of`."""
+    credits = [f"# {file['source']}: {file['credit']} ({file['licence']})" for file in files]
+    return "\n".join(
+        ["# Made by jaxurban fetch; fetch.json says where each file is from.", *credits]
+    )
 
 
 def _entry_of(source: Source, path: Path) -> Settings:
