@@ -127,15 +127,8 @@ def read_bands(
                 "(terrain: `-r average`), or cut it with `gdal_translate -projwin`"
             )
 
-        # Strips of rows, so that memory holds only the result as a whole.
         bands = np.empty(shape, dtype)
-        strip_rows = max(1, STRIP_PIXELS // width)
-        num_bad = 0
-        for row in range(0, height, strip_rows):
-            num_rows = min(strip_rows, height - row)
-            strip = Window(window.col_off, window.row_off + row, width, num_rows)
-            bands[:, row : row + num_rows], is_bad = _read_strip(source, strip, unit_m)
-            num_bad += is_bad.sum()
+        num_bad = _read_into(bands, source, window, unit_m)
         transform = tuple(source.transform)[:6]
         raster_crs = _horizontal_crs(source)
 
@@ -149,6 +142,30 @@ def read_bands(
         Raster(band, transform, raster_crs, int(window.row_off), int(window.col_off))
         for band in bands
     ]
+
+
+def _read_into(
+    bands: np.ndarray, source: rasterio.DatasetReader, window: Window, unit_m: float | None
+) -> int:
+    """Read a window in strips of rows, so that memory holds only the result as a whole.
+
+    Args:
+      bands: ``[B, Y, X]``, which get the values.
+      source, unit_m: as of `_read_strip`.
+      window: of ``Y`` rows and ``X`` columns.
+
+    Returns:
+      How many values are not finite and not declared empty.
+    """
+    _, height, width = bands.shape
+    strip_rows = max(1, STRIP_PIXELS // width)
+    num_bad = 0
+    for row in range(0, height, strip_rows):
+        num_rows = min(strip_rows, height - row)
+        strip = Window(window.col_off, window.row_off + row, width, num_rows)
+        bands[:, row : row + num_rows], is_bad = _read_strip(source, strip, unit_m)
+        num_bad += num_of(is_bad)
+    return num_bad
 
 
 def _read_strip(
