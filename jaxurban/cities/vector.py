@@ -129,14 +129,14 @@ def _read(
     name = f"the {role} file {str(path)!r}"
     with readable(path, "a vector file", WHOLE, what=name), unpacked(path) as plain:
         kind = _checked_format(Path(path), plain)
+        region = near if crs is None and kind in INDEXED_SUFFIXES else None
+        layers: list[pd.DataFrame]
         with in_own_words(), _alone():
             if kind == ".parquet":
-                layers: list[pd.DataFrame] = [_read_parquet(plain, named)]
+                layers = [_read_parquet(plain, named)]
             elif every_layer:
                 layers = _every_layer(plain, kind)
             else:
-                is_by_box = crs is None and kind in INDEXED_SUFFIXES
-                region = near if is_by_box else None
                 layers = [_polygon_layers(plain, kind, name, role, region, named or ())]
             if kind == ".geojsonl" and not every_layer:
                 _check_lines(plain, sum(map(len, layers)))
@@ -145,16 +145,26 @@ def _read(
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
-        twice = frame.columns[frame.columns.duplicated()]
-        if len(twice):
-            raise InputError(
-                f"{name} has several columns called {twice[0]!r}: rename or leave out all but one"
-            )
+        _check_columns(name, frame)
         _place(name, frame, kind, crs)
-        for column in frame.columns.difference([frame.geometry.name]):
-            if pd.api.types.is_object_dtype(frame[column]):
-                frame[column] = frame[column].map(_scalar)
+        _write_out(frame)
     return frames
+
+
+def _check_columns(name: str, frame: pd.DataFrame) -> None:
+    """Raise InputError where two columns of a file, ``name``, are called the same."""
+    twice = frame.columns[frame.columns.duplicated()]
+    if len(twice):
+        raise InputError(
+            f"{name} has several columns called {twice[0]!r}: rename or leave out all but one"
+        )
+
+
+def _write_out(frame: gpd.GeoDataFrame) -> None:
+    """Put texts in the place of values that hold several (see `_scalar`)."""
+    for column in frame.columns.difference([frame.geometry.name]):
+        if pd.api.types.is_object_dtype(frame[column]):
+            frame[column] = frame[column].map(_scalar)
 
 
 @contextmanager
