@@ -364,9 +364,10 @@ def _beside_parts(
     """
     outline, part, share = parts
     reshaped = _copied(buildings)
+    assert reshaped.limit_m is not None
     is_bare = (1 - share) * shapely.area(buildings.polygons) > STRIP_M
     may_stand = ~is_replaced | is_bare
-    is_replaced = is_replaced.copy()
+    gives_way = is_replaced.copy()
     for owner in np.unique(outline[may_stand[outline]]):
         inner = part[outline == owner]
         height_m = buildings.height_m[owner]
@@ -374,19 +375,22 @@ def _beside_parts(
         is_lower = rest_m < height_m
         if not (is_lower or is_replaced[owner]):
             continue
-        covered = shapely.union_all(buildings.polygons[inner])
-        rest = polygonal(shapely.difference(buildings.polygons[owner], covered))
-        is_narrow = is_replaced[owner] and rest.buffer(-STRIP_M / 2).is_empty
-        if rest.is_empty or is_narrow:
+        rest = _uncovered(buildings.polygons[owner], buildings.polygons[inner])
+        is_strip = is_replaced[owner] and rest.buffer(-STRIP_M / 2).is_empty
+        if rest.is_empty or is_strip:
             continue
-        is_replaced[owner] = False
+        gives_way[owner] = False
         reshaped.polygons[owner] = rest
         if is_lower:
-            assert reshaped.limit_m is not None
             reshaped.height_m[owner] = rest_m
             reshaped.origin[owner] = HeightOrigin.BESIDE_PARTS
             reshaped.limit_m[owner] = height_m
-    return reshaped, is_replaced
+    return reshaped, gives_way
+
+
+def _uncovered(outline: shapely.Geometry, parts: np.ndarray) -> shapely.Geometry:
+    """Return the area of an outline that its parts, ``[P]`` polygons, leave; empty where they cover it."""
+    return polygonal(shapely.difference(outline, shapely.union_all(parts)))
 
 
 def _beside_tower_m(buildings: Footprints, owner: int, inner: np.ndarray) -> float:
