@@ -65,6 +65,22 @@ class Parts(NamedTuple):
     share: np.ndarray
 
 
+class Known(NamedTuple):
+    """What the heights that a file states say of others. ``N`` buildings.
+
+    Attributes:
+      classes: ``[N]`` objects, in which they are learned.
+      learned: by class.
+      likely_m: ``[N]`` of the class.
+      highest_m: ``[N]`` as of `_highest_m`.
+    """
+
+    classes: np.ndarray
+    learned: dict[str, Learned]
+    likely_m: np.ndarray
+    highest_m: np.ndarray
+
+
 class WhatStands(NamedTuple):
     """What stands by the features of a file.
 
@@ -171,51 +187,64 @@ def _buildings(
       found: outlines and parts, in a projected CRS.
       file, learns: as of `to_buildings`.
     """
-    # The heights that the file states, and what these say of others.
-    is_part, is_deck = found.tags["is_part"], found.tags["is_deck"]
-    is_outline = ~(is_part | is_deck)
-    stated, issues = estimate_heights(found.tags, found.polygons, is_part, file)
-    if is_deck.any():
-        layer = pd.to_numeric(pd.Series(found.texts("layer")), errors="coerce")
-        stated = with_decks(stated, is_deck, layer.to_numpy(float))
-    parts = _own_parts(found.polygons, is_outline, is_part)
-    of_size = _classes(found.polygons, is_outline, is_part)
-    classes = np.where(is_part, PARTS + of_size, of_size)
-    stated_m, known_m = _known_m(stated, found, parts)
-    learned = learned_from(classes, stated_m * learns, known_m * learns)
+    stated, issues = _stated(found, file)
+    parts = _own_parts(found)
+    known = _known_of(stated, found, parts, learns)
     guessed = stated
     if file.default_height_m is None:
-        guessed = _with_guesses(stated, found, learned, classes)
-
-    # Outlines and their parts.
+        guessed = _with_guesses(stated, found, known)
     fitted, of_parts = _with_outline_heights(guessed, parts)
     is_covered = parts.share >= REPLACED_SHARE
-    is_podium = np.zeros(len(fitted), bool)
     issues |= of_parts | {ReadIssue.OUTLINES_REPLACED_BY_PARTS: num_of(is_covered)}
+    on_podiums, is_podium = fitted, np.zeros(len(fitted), bool)
     if file.hanging == SLABS:
-        fitted, is_podium = _podiums(fitted, parts, is_covered)
+        on_podiums, is_podium = _podiums(fitted, parts, is_covered)
         issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = num_of(is_podium)
-    highest_m = _highest_m(found, of_size, known_m)
-    likely_m = of_classes(learned, classes, "likely_m")
     bounded = replace(
-        fitted,
-        limit_m=_limits_m(fitted, found, file, highest_m, likely_m),
-        likely_m=_likelies_m(fitted, found, likely_m),
+        on_podiums,
+        limit_m=_limits_m(on_podiums, found, file, known),
+        likely_m=_likelies_m(on_podiums, found, known.likely_m),
         rule=found.tags["rule"],
     )
     reshaped, is_replaced = _beside_parts(bounded, parts, is_covered & ~is_podium)
     buildings = _within(reshaped.take(~is_replaced), file)
     issues[ReadIssue.PARTS_HANGING] = num_of(buildings.min_height_m > 0)
-    return buildings, learned, issues
+    return buildings, known.learned, issues
 
 
-def _with_guesses(
-    buildings: Footprints, found: Outlines, learned: dict[str, Learned], classes: np.ndarray
-) -> Footprints:
-    """Return buildings that have the guesses of their classes, ``[N]``, where the file says no height."""
+def _stated(found: Outlines, file: settings.Buildings) -> tuple[Footprints, ReadIssues]:
+    """Return buildings with the heights that the file states, decks by their layers too, and what was met."""
+    is_deck = found.tags["is_deck"]
+    stated, issues = estimate_heights(found.tags, found.polygons, found.tags["is_part"], file)
+    if not is_deck.any():
+        return stated, issues
+    layer = pd.to_numeric(pd.Series(found.texts("layer")), errors="coerce")
+    return with_decks(stated, is_deck, layer.to_numpy(float)), issues
+
+
+def _known_of(stated: Footprints, found: Outlines, parts: Parts, learns: bool) -> Known:
+    """Return what is known by the heights of a file.
+
+    Args:
+      stated: ``N`` outlines and parts, as the file has them.
+      found: what they were made of.
+      parts: of the outlines.
+      learns: as of `to_buildings`.
+    """
+    of_size = _classes(found)
+    classes = np.where(found.tags["is_part"], PARTS + of_size, of_size)
+    stated_m, known_m = _known_m(stated, found, parts)
+    learned = learned_from(classes, stated_m * learns, known_m * learns)
+    likely_m = of_classes(learned, classes, "likely_m")
+    return Known(classes, learned, likely_m, _highest_m(found, of_size, known_m))
+
+
+def _with_guesses(buildings: Footprints, found: Outlines, known: Known) -> Footprints:
+    """Return buildings that have the guesses of their classes where the file says no height."""
     is_open = built_shares(found.polygons) < OPEN_SHARE
-    in_open_m = of_classes(learned, classes, "open_guess_m")
-    of_class_m = np.where(is_open, in_open_m, of_classes(learned, classes, "guess_m"))
+    in_open_m = of_classes(known.learned, known.classes, "open_guess_m")
+    beside_others_m = of_classes(known.learned, known.classes, "guess_m")
+    of_class_m = np.where(is_open, in_open_m, beside_others_m)
     guess_m = np.minimum(of_class_m, limits_by_name_m(found, np.inf))
     height_m = np.where(buildings.height_m == 0, guess_m, buildings.height_m)
     return replace(buildings, height_m=height_m)
@@ -228,23 +257,20 @@ def _likelies_m(buildings: Footprints, found: Outlines, likely_m: np.ndarray) ->
     return np.where(is_of_class, np.fmax(over_m, lengths_m(found, "estimated_to_m")), np.inf)
 
 
-def _classes(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray) -> np.ndarray:
+def _classes(found: Outlines) -> np.ndarray:
     """Return the class of each building, ``[N]`` objects: by its size, or that of the outline that it lies in.
 
     A part that lies in none is a part `IN_NONE`, whatever it touches: of those of Murray Hill that touch a small
     building and nothing else 4 of 19 are higher than 100 m.
-
-    Args:
-      polygons: ``[N]`` outlines, parts and decks, which are no buildings.
-      is_outline, is_part: ``[N]`` bool.
     """
+    polygons = found.polygons
     area_m2 = shapely.area(polygons)
-    wholes = np.flatnonzero(is_outline)
+    wholes = np.flatnonzero(found.tags["is_outline"])
     middles = shapely.point_on_surface(polygons)
     inner, whole = shapely.STRtree(polygons[wholes]).query(middles, predicate="within")
     np.maximum.at(area_m2, inner, area_m2[wholes[whole]])
     classes = classes_of(area_m2)
-    classes[np.setdiff1d(np.flatnonzero(is_part), inner)] = IN_NONE
+    classes[np.setdiff1d(np.flatnonzero(found.tags["is_part"]), inner)] = IN_NONE
     return classes
 
 
@@ -315,8 +341,7 @@ def _limits_m(
     buildings: Footprints,
     found: Outlines,
     rules: settings.Buildings,
-    highest_m: np.ndarray,
-    likely_m: np.ndarray,
+    known: Known,
 ) -> np.ndarray:
     """Return ``[B]`` the bound of buildings of guessed height; of decks it is not known.
 
@@ -326,13 +351,13 @@ def _limits_m(
       buildings: with their heights.
       found: ``B`` outlines with what their tag calls them and how far they rise.
       rules: height of one level.
-      highest_m, likely_m: ``[B]`` of their classes. What names call low is bounded by the highest that the file knows;
+      known: of their classes. What names call low is bounded by the highest that the file knows;
         others have no bound where higher ones are known, likely or estimated, as nothing says how high a tower is.
     """
     by_name_m = np.maximum(limits_by_name_m(found, LIMIT_M), found.tags["kind_limit_m"])
     is_low = by_name_m < LIMIT_M
-    is_higher = np.fmax(highest_m, likely_m) > by_name_m
-    bounds_m = [np.maximum(by_name_m, highest_m), np.inf]
+    is_higher = np.fmax(known.highest_m, known.likely_m) > by_name_m
+    bounds_m = [np.maximum(by_name_m, known.highest_m), np.inf]
     of_class_m = np.select([is_low, is_higher], bounds_m, by_name_m) + found.tags["rise_m"]
     limits_m = {
         HeightOrigin.DEFAULT: of_class_m,
@@ -488,14 +513,15 @@ def _unwrapped(shapes: np.ndarray) -> np.ndarray:
     return unwrapped
 
 
-def _own_parts(polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray) -> Parts:
+def _own_parts(found: Outlines) -> Parts:
     """Return which parts belong to which outlines, as far as `BELONGING_SHARE` of each, and what share they cover.
 
     Args:
-      polygons: ``[N]`` valid polygons.
-      is_outline, is_part: ``[N]`` bool, which of them are outlines, and which are parts.
+      found: ``N`` valid polygons, outlines, parts and decks.
     """
-    outlines, parts = np.flatnonzero(is_outline), np.flatnonzero(is_part)
+    polygons = found.polygons
+    outlines = np.flatnonzero(found.tags["is_outline"])
+    parts = np.flatnonzero(found.tags["is_part"])
     tree = shapely.STRtree(polygons[parts])
     near_outline, near_part = tree.query(polygons[outlines], predicate="intersects")
     outline, part = outlines[near_outline], parts[near_part]

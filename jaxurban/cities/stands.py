@@ -31,17 +31,20 @@ def what_stands(outlines: Outlines, has_decks: bool) -> tuple[Outlines, ReadIssu
     Returns:
       Tags more: ``verdict``, ``[N]`` objects, `BUILDING` or the `Kind` of another structure; ``rule``, the name of
       that which decided; ``label``, what the file calls what is unknown; ``kind_limit_m``, the highest bound
-      by rules of other kinds, 0 without one; ``is_part`` and ``is_deck``, ``[N]`` bool, of buildings.
+      by rules of other kinds, 0 without one; ``is_part``, ``is_deck`` and ``is_outline``, neither of both, ``[N]``
+      bool, of buildings.
     """
     signs = signs_of(outlines, has_decks) | {"below": _is_below(outlines)}
     decided, beside, limits_m = decide(outlines, signs)
+    is_deck = decided == RANKS["deck of a bridge"]
     more = {
         "verdict": GIVES[decided],
         "rule": NAMES[decided],
         "label": labels_of(outlines, beside),
         "kind_limit_m": limits_m,
         "is_part": signs["part"],
-        "is_deck": decided == RANKS["deck of a bridge"],
+        "is_deck": is_deck,
+        "is_outline": ~(signs["part"] | is_deck),
     }
     stands = IS_SOMETHING[decided] & ~signs["below"]
     standing = replace(outlines, tags={**outlines.tags, **more}).take(stands)
