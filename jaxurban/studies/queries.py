@@ -1,5 +1,6 @@
 """What studies share: queries, and what routes between their ends add up."""
 
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,13 +11,16 @@ from numpy.typing import ArrayLike
 
 from jaxurban.checks import typed
 from jaxurban.errors import InputError
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.shared import population_norms
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import AnyArray, Weights
+from jaxurban.paths.constraints import GPS_FLOOR, Constraints
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.places import Point
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
+from jaxurban.settings import CLEARANCES
 from jaxurban.world.grid import Grid
 
 LENGTH, PEOPLE = "length_m", "people"
@@ -188,7 +192,7 @@ def command_to_plan(query: RouteQuery, weights: Weights) -> str:
     ends_m = [cost_map.grid.xy_of_cell(*cell) for cell in (query.start, query.goal)]
     return (
         f"jaxurban plan {cost_map.maps.folder or 'DIR'} {ends_option(cost_map.grid, ends_m)} "
-        f"--altitude {cost_map.altitude_m:g} {preset_option(cost_map)}"
+        f"--altitude {cost_map.altitude_m:g} {_rules_options(cost_map)}{_time_options(cost_map)}"
         f"--weights {weights_option(weights)}"
     )
 
@@ -213,15 +217,46 @@ def command_to_vary(
         vary = f"--vary {','.join(name for name in cost_map.weight_names if weights[name])} "
     return (
         f"jaxurban sensitivity {maps.folder or 'DIR'} --resolution {maps.grid.resolution_m:g} "
-        f"--altitude {cost_map.altitude_m:g} {preset_option(cost_map)}{vary}"
+        f"--altitude {cost_map.altitude_m:g} {_rules_options(cost_map)}{vary}"
         f"--weights {weights_option(weights, maps.metrics)} -o {folder} --routes 30"
     )
 
 
-def preset_option(cost_map: CostMap) -> str:
-    """Return the option of the preset under which is planned, with a space behind; empty without one."""
+def _rules_options(cost_map: CostMap) -> str:
+    """Return the options of the preset and the constraints under which is planned, with a space behind each."""
     preset = cost_map.maps.planning.preset
-    return f"--preset {preset} " if preset else ""
+    preset_option = f"--preset {preset} " if preset else ""
+    return preset_option + constraint_options(cost_map.constraints, cost_map.maps)
+
+
+def _time_options(cost_map: CostMap) -> str:
+    """Return the options of times that are not the first ones of the maps, with a space behind each."""
+    maps = cost_map.maps
+    options = ""
+    if cost_map.time_of_day != next(iter(maps.times_of_day), None):
+        options += f"--time-of-day {cost_map.time_of_day} "
+    if cost_map.time != maps.default_time:
+        options += f"--time {cost_map.time} "
+    return options
+
+
+def constraint_options(constraints: Constraints, maps: MetricMaps) -> str:
+    """Return the options of constraints that the scenario of the maps does not have, with a space behind each.
+
+    A file of zones is called by its name, and ``FILE`` where zones were made in Python.
+    """
+    usual = maps.planning.rules
+    names = *CLEARANCES, "unknown_heights"
+    kept = {name: getattr(constraints, name) for name in names}
+    own = {name: value for name, value in kept.items() if value not in (None, getattr(usual, name))}
+    files = dict.fromkeys(zone.source or "FILE" for zone in constraints.zones)
+    words = [("--no-fly", file) for file in files]
+    words += [("--require", str(bound)) for bound in constraints.bounds]
+    if constraints.above_gps_floor:
+        words.append(("--require", GPS_FLOOR))
+    if own:
+        words.append(("--rules", ",".join(f"{name}={value}" for name, value in own.items())))
+    return "".join(f"{shlex.join(each)} " for each in words)
 
 
 def weights_option(weights: Weights, metrics: Iterable[str] | None = None) -> str:

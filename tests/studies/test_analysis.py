@@ -165,6 +165,8 @@ def test_of_one_planner_there_is_nothing_to_compare(table):
     assert lines["not decided"] == (f"there is nothing to compare, as {CHEAP} is the only planner.")
     assert lines["next"].startswith("jaxurban plan ")
     assert "--weights distance=0.1,gps=2,lidar=1,population=1,risk=1" in lines["next"]
+    bounded = analysis.conclusion(alone, *given, "--require 'gps>=0.1' ").facts["next"]
+    assert "--require 'gps>=0.1' --planner" in bounded
     empty = ju.MetricMaps(maps.ds.drop_vars(["population", "density"]))
     without = analysis.conclusion(alone, given[0], empty, "", "").facts["next"]
     assert without.endswith("--weights distance=0.1,gps=2,lidar=1,risk=1")  # what they hold

@@ -14,7 +14,7 @@ from jaxurban.statistics.bootstrap import Clusters, Interval
 from jaxurban.statistics.conclusions import SharedVerdict, Verdict
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
 from jaxurban.studies.figures.tuning import plot_weights
-from jaxurban.studies.queries import weights_option
+from jaxurban.studies.queries import command_to_plan, command_to_vary, weights_option
 from jaxurban.studies.tuning.confidence import FitVerdict
 from jaxurban.studies.tuning.tested import PAIRS, wish_verdicts
 from tests.studies.routes_made import HIDDEN, NUM, made_queries
@@ -46,6 +46,19 @@ def test_a_fit_names_the_pilot_of_planned_routes_and_none_of_lines(small, unit):
         ([demonstration_from_line(unit, path.xy_m)], ()),
     ):
         assert fit_weights(routes, bootstrap=0, settings=QUICK).pilots == pilots
+
+
+def test_commands_keep_the_constraints_and_the_times_of_routes(small):
+    limits = ju.Constraints.read(require="gps>=0.1", vertical_clearance_m=0.0)
+    *_, late = small.times_of_day
+    assert late != small.times_of_day[0]
+    for when, options in (({}, ""), ({"time_of_day": late}, f"--time-of-day {late} ")):
+        (query,) = made_queries(ju.cost_map(small, 20.0, constraints=limits, **when), 1)
+        rules = " --require 'gps>=0.1' --rules vertical_clearance_m=0.0 "
+        assert f"{rules}{options}--weights" in command_to_plan(query, HIDDEN)
+        assert rules in command_to_vary(query, HIDDEN, "out")
+    (usual,) = made_queries(ju.cost_map(small, 20.0), 1)
+    assert " --altitude 20 --weights " in command_to_plan(usual, HIDDEN)
 
 
 def test_a_wish_whose_command_asks_for_no_routes_does_not_say_that_it_does(unit):

@@ -404,7 +404,31 @@ def test_wider_maps_come_next_with_the_same_routes_of_each_city(weight_study):
     settled = replace(pinned, rows=pinned.rows.assign(at_edge=0.0), instances=pd.concat(more))
     num = settled.instances.query("city == 'alpha'").instance.nunique()
     assert num > 30
-    assert f" --routes {num} --study seed=" in settled.decided.next_command
+    assert f" --study seed={settled.settings.seed + 1} " in settled.decided.next_command
+    assert settled.decided.next_command.endswith(f" --routes {num}")
+
+
+def test_the_next_study_asks_what_this_one_asks_under_the_same_rules(weight_study):
+    def next_of(**changes) -> str:
+        return replace(weight_study, **changes).decided.next_command
+
+    asked = replace(WEIGHT_STUDY, wrong=3.0, num_heights=2, seed=0, height_seed=5)
+    assert " --study wrong=3,num_heights=2,height_seed=5 " in next_of(settings=asked)
+    limits = ju.Constraints.read(require=["gps>=0.3", "gps_floor"], clearance_m=2.5)
+    rules = replace(weight_study.rules, constraints=limits, snap=20.0)
+    command = next_of(rules=rules)
+    assert " --require 'gps>=0.3' --require gps_floor --rules clearance_m=2.5 " in command
+    assert " --snap 20 " in command
+    usual = next_of()
+    assert "--require" not in usual
+    assert "--rules" not in usual
+    assert " --altitude 20,60 " in usual
+
+    # Where cities hold other altitudes, each was asked for all of its own.
+    table = weight_study.instances
+    is_lower = (table.city == "beta") & (table.altitude_m == 60.0)
+    lower = table.assign(altitude_m=table.altitude_m.mask(is_lower, 50.0))
+    assert "--altitude" not in next_of(instances=lower)
 
 
 def test_only_layers_that_differ_at_another_time_of_day_are_named_and_alike_times_are_no_change(

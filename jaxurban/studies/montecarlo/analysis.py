@@ -276,7 +276,12 @@ def beside_baseline(table: pd.DataFrame, instances: pd.DataFrame) -> list[Verdic
 
 
 def conclusion(
-    table: pd.DataFrame, instances: pd.DataFrame, maps: MetricMaps, again: str, wider: str
+    table: pd.DataFrame,
+    instances: pd.DataFrame,
+    maps: MetricMaps,
+    again: str,
+    wider: str,
+    rules: str = "",
 ) -> Conclusion:
     """Return what a benchmark decided: the planners' ranks, and how many routes the border may have made.
 
@@ -286,6 +291,7 @@ def conclusion(
       maps: of the benchmark.
       again: command of the same benchmark, which ends in its folder; empty: that of the maps' scenario.
       wider: command of a benchmark of the same instances, over maps whose bounds are still to be named.
+      rules: options of its constraints.
     """
     verdicts: list[Verdict] = []
     rankings_of = rankings(table)
@@ -315,6 +321,7 @@ def conclusion(
         verdicts,
         more=f"{again} {more}{{needed}}",
         wider=bounds and f'{wider} --set "region.bounds={bounds}"',
-        done=f"jaxurban plan {folder} {ends} --altitude {first.altitude_m:g} --planner {planner} --weights {weights}",
+        done=f"jaxurban plan {folder} {ends} --altitude {first.altitude_m:g} {rules}--planner {planner} "
+        f"--weights {weights}",
         ran=table.instance.nunique(),
     )

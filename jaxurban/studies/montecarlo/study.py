@@ -34,6 +34,7 @@ from jaxurban.studies.montecarlo.sampling import (
     with_connection,
 )
 from jaxurban.studies.montecarlo.trial import Benchmark, row_columns
+from jaxurban.studies.queries import constraint_options
 from jaxurban.studies.results import StudyResult
 from jaxurban.world.land_cover import LandCover
 
@@ -83,7 +84,8 @@ class BenchmarkResult(StudyResult):
         folder = self.maps.folder or "SCENARIO"
         wider = self.wider or f"jaxurban study {folder} -o {self.folder}-wider"
         wider += f" --instances {shlex.quote(str(self.folder / INSTANCES_FILE))}"
-        return analysis.conclusion(self.table, self.instances, self.maps, self.again, wider)
+        rules = constraint_options(self.settings.constraints, self.maps)
+        return analysis.conclusion(self.table, self.instances, self.maps, self.again, wider, rules)
 
     @property
     def table(self) -> pd.DataFrame:

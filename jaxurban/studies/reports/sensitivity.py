@@ -31,7 +31,7 @@ from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
 from jaxurban.statistics.conclusions import VERDICTS, Conclusion, Verdict, concluded
 from jaxurban.studies.decided import FEWEST_RUNS, wider_bounds
 from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes, plot_regret
-from jaxurban.studies.queries import ends_option, weights_option
+from jaxurban.studies.queries import constraint_options, ends_option, weights_option
 from jaxurban.studies.results import SHARES, StudyResult, with_units
 from jaxurban.studies.weights import summary
 from jaxurban.studies.weights.cities import shared_weights, study_key
@@ -162,22 +162,28 @@ class Sensitivity(StudyResult):
         first = next(iter(self.maps.values()))
         options = f"--resolution {first.grid.resolution_m:g} --range {low:g},{high:g} "
         options += f"--preset {self.rules.preset} " * bool(self.rules.preset)
+        options += constraint_options(self.rules.constraints, first)
         if self.settings.vary:
             options += f"--vary {','.join(self.settings.vary)} "
         if self.rules.snap:
-            options += "--snap "
-        under = f"--altitude {altitudes} "  # what a table of routes names itself
+            options += "--snap " if self.rules.snap is True else f"--snap {self.rules.snap:g} "
+        asked = self._study_option(self.settings.seed)
+        # What a table of routes names itself. Cities of other altitudes were asked for all of theirs.
+        under = f"--altitude {altitudes} "
+        if self.instances.groupby("city").altitude_m.agg(set).map(sorted).map(tuple).nunique() > 1:
+            under = ""
         weights = shared_weights(self.instances)
         if weights is not None:
             metrics = dict.fromkeys(chain(*(maps.metrics for maps in self.maps.values())))
             under += f"--weights {weights_option(weights, metrics)} "
         place = f"-o {self.folder or 'out/sensitivity'}"
-        command = f"jaxurban sensitivity {folders} {options}{under}{place}-more --routes"
+        command = f"jaxurban sensitivity {folders} {options}{asked}{under}{place}-more --routes"
         # Other routes than these, in each city as many as it has here: fewer would decide less.
         num_pairs = int(self.instances.groupby("city").instance.nunique().max())
         others = f"{command} {max(MORE_ROUTES, num_pairs)}"
         if self.is_sampled:
-            others += f" --study seed={self.settings.seed + 1}"
+            of_others = self._study_option(self.settings.seed + 1)
+            others = others.replace(f"{options}{asked}", f"{options}{of_others}", 1)
 
         # The only route without a path, higher up.
         higher_m = self._joined_m()
@@ -185,15 +191,15 @@ class Sensitivity(StudyResult):
             ends_m = self.instances[[*IN_METRES]].to_numpy(float).reshape(2, 2)
             higher = under.replace(f"--altitude {altitudes} ", f"--altitude {higher_m:g} ")
             ends = ends_option(first.grid, ends_m)
-            others = f"jaxurban sensitivity {folders} {options}{higher}{place}-higher {ends}"
+            others = f"jaxurban sensitivity {folders} {options}{asked}{higher}{place}-higher {ends}"
 
         # The same routes over maps of wider bounds.
-        again = f"{options}{under}{place}-wider --routes {self.instances.instance.nunique()}"
+        again = f"{options}{asked}{under}{place}-wider --routes {self.instances.instance.nunique()}"
         if self.route:
             ends_m = self.instances[[*IN_METRES]].to_numpy(float).reshape(2, 2)
-            again = f"{options}{under}{place}-wider {ends_option(first.grid, ends_m)}"
+            again = f"{options}{asked}{under}{place}-wider {ends_option(first.grid, ends_m)}"
         elif self.folder:
-            again = f"{options}{place}-wider --routes {self.folder / INSTANCES_FILE}"
+            again = f"{options}{asked}{place}-wider --routes {self.folder / INSTANCES_FILE}"
         return concluded(
             verdicts,
             more=command + " {needed}",
@@ -201,6 +207,21 @@ class Sensitivity(StudyResult):
             wider=self._on_wider_maps(again),
             factor=1 / len(self.maps),
         )
+
+    def _study_option(self, seed: int) -> str:
+        """Return the option of what this study asks of every route, with a space behind; empty where all is as usual.
+
+        Args:
+          seed: of the sampling of routes.
+        """
+        settings = self.settings
+        asked = {"wrong": f"{settings.wrong:g}", "num_heights": f"{settings.num_heights}"}
+        asked |= {"seed": f"{seed}", "height_seed": f"{settings.height_seed}"}
+        usual = SensitivitySettings()
+        own = [
+            f"{name}={text}" for name, text in asked.items() if float(text) != getattr(usual, name)
+        ]
+        return f"--study {','.join(own)} " if own else ""
 
     def _joined_m(self) -> float | None:
         """Return the lowest altitude of the maps that joins the ends of the only route, above its own; else None."""
