@@ -139,8 +139,8 @@ def study_command(
     weights = weights_setting(instances)
     if instances_file and weights:
         typed += f" --set {shlex.quote(weights)}"
-    of_sampling = (f"--set {name}" for name in fixed)
-    wider = f"{again('-o', '--instances', *of_sampling)} -o {shlex.quote(f'{folder}-wider')}"
+    replaced = (f"--set {name}" for name in (*fixed, "region.bounds"))
+    wider = f"{again('-o', '--instances', *replaced)} -o {shlex.quote(f'{folder}-wider')}"
     result = replace(result, again=f"{typed} -o {own}", wider=wider)
     report_file = result.save(analysis)[-1]
     log_lines(result.decided.facts)

@@ -166,7 +166,7 @@ def test_the_border_is_not_decided_by_more_routes():
 
 
 def test_wider_bounds_end_where_the_source_of_the_buildings_does():
-    """Of 400 x 300 m a quarter is 100 m and 75 m; degrees of four digits are some 10 m."""
+    """Of 400 x 300 m a quarter is 100 m and 75 m; degrees of five digits are some 1 m."""
     maps = open_map({"gps": np.ones((30, 40))})
     west, south, east, north = maps.grid.bounds_m
     far = 1e4
@@ -179,7 +179,7 @@ def test_wider_bounds_end_where_the_source_of_the_buildings_does():
         inside = ju.MetricMaps(maps.ds.assign_attrs(known_bounds_m=known.tolist()))
         lonlat = np.reshape(json.loads(wider_bounds(inside)), (2, 2))
         wanted = np.add((west, south, east, north), wanted_m)
-        assert np.ravel(maps.grid.xy_at(lonlat)) == pytest.approx(wanted, abs=10)
+        assert np.ravel(maps.grid.xy_at(lonlat)) == pytest.approx(wanted, abs=1)
     nowhere = ju.MetricMaps(maps.ds.assign_attrs(known_bounds_m=[west, south, east, north + 20]))
     assert wider_bounds(nowhere) == ""
     quarter = np.reshape(json.loads(wider_bounds(maps)), (2, 2))  # maps that do not say
