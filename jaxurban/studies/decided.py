@@ -278,7 +278,9 @@ def wider_bounds(maps: MetricMaps) -> str:
     corners_m = known_m.clip([wide_m[0], high_m], [low_m, wide_m[1]])
     if np.abs(corners_m - bounds_m).max() <= EDGE_CELLS * grid.resolution_m:
         return ""
-    return str(grid.lonlat_at(corners_m).ravel().round(5).tolist())  # to 1 m, so that no cell is lost
+    return str(
+        grid.lonlat_at(corners_m).ravel().round(5).tolist()
+    )  # to 1 m, so that no cell is lost
 
 
 def border_verdict(is_pinned: np.ndarray, noun: str = "routes") -> list[Verdict]:

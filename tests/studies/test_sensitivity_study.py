@@ -24,7 +24,7 @@ from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.reports.sensitivity import sensitivity_report, shown_tables
 from jaxurban.studies.weights.changed_maps import changed_maps, differing_layers
 from jaxurban.studies.weights.routes import OnChangedMaps
-from jaxurban.studies.weights.summary import MORE, small_parts, summarise
+from jaxurban.studies.weights.summary import MORE, small_parts, summarise, summarise_changed
 from jaxurban.studies.weights.verdicts import WeightVerdict, on_other_maps, verdicts_of
 from jaxurban.typing import Sensitivity
 from tests.cli_runs import TOWN, run
@@ -332,6 +332,14 @@ def test_routes_on_maps_made_anew_are_compared_both_ways(alpha):
         assert row["nominal_regret"] == pytest.approx(cost / best.cost - 1, abs=1e-9)
 
 
+def test_routes_on_several_draws_of_heights_count_once():
+    rows = {"city": "a", "instance": [0, 1, 0, 1], "altitude_m": 60.0, "draw": [0, 0, 1, 1]}
+    facts = dict.fromkeys(("is_other", "overlap", "nominal_is_closed", "nominal_regret"), 0.0)
+    rows |= {"change": "heights", "layers": "risk", "status": "optimal"} | facts
+    (row,) = summarise_changed(pd.DataFrame(rows)).to_dict("records")
+    assert (row["routes"], row["draws"]) == (2, 2)
+
+
 @pytest.fixture(scope="module")
 def of_heights(tmp_path_factory) -> Sensitivity:
     """Return a study of a town, with maps of drawn heights."""
@@ -448,6 +456,8 @@ def test_only_layers_that_differ_at_another_time_of_day_are_named_and_alike_time
 
     row = {"change": "time_of_day", "is_other": 0.2, "is_other_low": 0.1, "is_other_high": 0.3}
     row |= {"routes": 40, "nominal_regret": 0.01}
+    drawn = on_other_maps(row | {"change": "heights", "layers": "risk", "draws": 2}).sentence
+    assert drawn.endswith("(40 routes, each on the maps of 2 draws)")
     people = on_other_maps(row | {"layers": "population"}).sentence
     assert people.startswith("with people of another time of day 20 % (10 to 30) of the routes")
     noise = on_other_maps(row | {"layers": "noise"}).sentence

@@ -227,9 +227,10 @@ def summarise_changed(changed: pd.DataFrame) -> pd.DataFrame:
 def _changes_of(part: pd.DataFrame) -> dict[str, float]:
     """Return the columns of a row of `summarise_changed`: the sizes of a part, and its means with their intervals.
 
-    ``draws`` counts the maps of one change; ``groups`` is the number of groups of the bootstrap.
+    ``draws`` counts the maps of one change, on each of which the ``routes`` are planned; ``groups`` is the number of
+    groups of the bootstrap.
     """
-    row = _sizes_of(part)
+    row = _sizes_of(part) | {"routes": num_routes(part)}
     clusters = pairs_of(part)
     if part.change.iloc[0] == HEIGHTS:
         clusters = clusters.crossed(Clusters(part.draw, seed=1))

@@ -202,6 +202,8 @@ def on_other_maps(row: Mapping[Any, Any]) -> Verdict:
     facts = {"kept": 100 * row["nominal_regret"]}
     kind = WeightVerdict.OTHER_MAPS
     noun = "route" if row["routes"] == 1 else "routes"
+    if row["change"] == HEIGHTS:
+        noun += f", each on the maps of {row['draws']} draws"
     return Verdict(kind, (words,), share, low, high, row["routes"], "%", noun, facts=facts)
 
 
