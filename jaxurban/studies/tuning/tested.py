@@ -75,7 +75,11 @@ class FitCommands(NamedTuple):
         """
         if needed <= MOST_ASKED * num_pairs:
             return self.again.replace("{share}", f"{math.ceil(100 * needed / num_pairs) / 100:g}")
-        drawn = (self.sample or num_pairs) / num_pairs / (share or USUAL_SHARE)
+        # Where a path joins few of those that were drawn, their share is taken smaller than it was, so that one more
+        # fit is likely to do.
+        drawn = 1 / (share or USUAL_SHARE)
+        if self.sample and self.sample > num_pairs:
+            drawn *= (self.sample + 2) / max(num_pairs - 1, 1)
         return self.more.replace("{needed}", f"{math.ceil(drawn * needed)}")
 
 
