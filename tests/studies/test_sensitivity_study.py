@@ -432,8 +432,15 @@ def test_the_next_study_asks_what_this_one_asks_under_the_same_rules(weight_stud
     assert "--rules" not in usual
     assert " --altitude 20,60 " in usual
 
-    # Where cities hold other altitudes, each was asked for all of its own.
+    # A layer that a city lacks has a weight in the others, and may have none in a table of its routes.
     table = weight_study.instances
+    assert "population" not in weight_study.maps["beta"].metrics
+    is_listed = table.w_population.mask(table.city == "beta", 0.0)
+    listed = next_of(instances=table.assign(w_population=is_listed))
+    assert listed == usual
+    assert ",population=1," in usual
+
+    # Where cities hold other altitudes, each was asked for all of its own.
     is_lower = (table.city == "beta") & (table.altitude_m == 60.0)
     lower = table.assign(altitude_m=table.altitude_m.mask(is_lower, 50.0))
     assert "--altitude" not in next_of(instances=lower)

@@ -34,7 +34,7 @@ from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes, plot_re
 from jaxurban.studies.queries import constraint_options, ends_option, weights_option
 from jaxurban.studies.results import SHARES, StudyResult, with_units
 from jaxurban.studies.weights import summary
-from jaxurban.studies.weights.cities import shared_weights, study_key
+from jaxurban.studies.weights.cities import shared_weights, study_key, with_held_weights
 from jaxurban.studies.weights.one_route import MORE, OneRoute
 from jaxurban.studies.weights.routes import WeightsJob
 from jaxurban.studies.weights.settings import SensitivitySettings
@@ -172,7 +172,7 @@ class Sensitivity(StudyResult):
         under = f"--altitude {altitudes} "
         if self.instances.groupby("city").altitude_m.agg(set).map(sorted).map(tuple).nunique() > 1:
             under = ""
-        weights = shared_weights(self.instances)
+        weights = shared_weights(with_held_weights(self.instances, self.maps))
         if weights is not None:
             metrics = dict.fromkeys(chain(*(maps.metrics for maps in self.maps.values())))
             under += f"--weights {weights_option(weights, metrics)} "
@@ -275,7 +275,9 @@ def sensitivity_report(result: Sensitivity) -> ResultReport:
         "route": _route_said(result.route),
         "result": result,
         "constraints": str(result.rules.constraints) or "none",
-        "weights": weights_said(result.instances, result.maps.values()),
+        "weights": weights_said(
+            with_held_weights(result.instances, result.maps), result.maps.values()
+        ),
         "origin": SAMPLED if result.is_sampled else GIVEN,
         "fewest": FEWEST_GROUPS,
         "fewest_runs": FEWEST_RUNS,

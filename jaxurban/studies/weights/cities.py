@@ -241,6 +241,22 @@ def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
         )
 
 
+def with_held_weights(instances: pd.DataFrame, maps: Mapping[str, MetricMaps]) -> pd.DataFrame:
+    """Return instances in which the weight of a layer that a city lacks is that of the other cities.
+
+    Args:
+      instances: of a study.
+      maps: of each city by its name.
+    """
+    columns = list(weight_columns(weighed_metrics(instances.columns)))
+    weights = instances[columns].astype(float)
+    for city, of_city in maps.items():
+        held = ("distance", *of_city.metrics)
+        lacking = [name for name in columns if name.removeprefix(WEIGHT_PREFIX) not in held]
+        weights.loc[instances.city == city, lacking] = np.nan
+    return instances.assign(**weights.fillna(weights.max()).fillna(0.0))
+
+
 def shared_weights(instances: pd.DataFrame) -> Weights | None:
     """Return the weights that all instances share; None where they differ."""
     weights = instances[list(weight_columns(weighed_metrics(instances.columns)))]
