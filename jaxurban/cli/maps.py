@@ -1,8 +1,9 @@
 """jaxurban maps."""
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -25,6 +26,9 @@ from jaxurban.terminal.common import (
     use_device,
 )
 from jaxurban.terminal.options import command
+
+if TYPE_CHECKING:
+    from jaxurban.maps.scenario import Scenario
 
 
 @command()
@@ -69,9 +73,12 @@ def maps_command(
     folders = [output]
     if len(scenario_files) > 1:
         folders = [output / file.stem.rpartition(":")[2] for file in scenario_files]
-    if len({*folders}) < len(folders):
+    by_folder = zip(folders, scenario_files, strict=True)
+    alike = [repr(str(file)) for folder, file in by_folder if folders.count(folder) > 1]
+    if alike:
         raise InputError(
-            f"two scenarios have one name, and so one folder below {str(output)!r}: rename one"
+            f"two scenarios have one name, and so one folder below {str(output)!r} ({', '.join(alike)}): rename one, "
+            "or name it once"
         )
 
     # Processes of this machine compute on the CPU; an address is that of a cluster, which has devices of its own.
@@ -85,9 +92,19 @@ def maps_command(
         stay_on_cpu()
     use_device(device)
     memory_bytes = None if memory is None else parse_bytes(memory)
+
+    # None is made where one is wrong.
+    scenarios, faults = _read(scenario_files, changes)
+    if faults:
+        for fault in faults:
+            LOG.info(f"error: {fault}")
+        if len(scenario_files) > 1:
+            LOG.info(f"none of the {len(scenario_files)} scenarios is made: mend the wrong ones")
+        if as_json:
+            print_json({}, ExitCode.BAD_INPUT, "; ".join(faults))
+        return ExitCode.BAD_INPUT
     make = partial(
         _made,
-        changes=changes,
         overwrite=overwrite,
         has_figures=figures,
         layers=layers,
@@ -95,12 +112,12 @@ def maps_command(
         workers=workers,
     )
 
-    # Of several scenarios one that is refused keeps no other from being made.
+    # Of several scenarios one whose files cannot be used keeps no other from being made.
     entries: list[Settings] = []
-    for folder, file in zip(folders, scenario_files, strict=True):
+    for folder, scenario in zip(folders, scenarios, strict=True):
         entry: Settings = {"folder": str(folder), "exit_code": ExitCode.DONE, "message": None}
         try:
-            entry |= make(file, folder)
+            entry |= make(scenario, folder)
         except InputError as error:
             if len(folders) == 1:
                 raise
@@ -127,11 +144,28 @@ def maps_command(
     return code
 
 
+def _read(files: Sequence[Path], changes: tuple[str, ...]) -> tuple[list["Scenario"], list[str]]:
+    """Return scenarios, and a sentence on each that is wrong or names a file that is not there."""
+    from jaxurban.maps.provenance import check_inputs
+    from jaxurban.maps.scenario_files import read_scenario
+
+    scenarios, faults = [], []
+    for file in files:
+        try:
+            scenario = read_scenario(file, changes)
+            check_inputs(scenario)
+            scenarios.append(scenario)
+        except InputError as error:
+            fault = str(error)
+            is_named = len(files) == 1 or str(file) in fault
+            faults.append(fault if is_named else f"{file}: {fault}")
+    return scenarios, faults
+
+
 def _made(
-    scenario_file: Path,
+    scenario: "Scenario",
     output: Path,
     *,
-    changes: tuple[str, ...],
     overwrite: bool,
     has_figures: bool,
     layers: tuple[str, ...],
@@ -145,9 +179,6 @@ def _made(
     """
     from jaxurban.io.workspace import Workspace
     from jaxurban.maps.provenance import finished
-    from jaxurban.maps.scenario_files import read_scenario
-
-    scenario = read_scenario(scenario_file, changes)
 
     # Make the maps by libraries that neither finished ones nor a wrong scenario need wait for.
     record = None if has_figures or layers or memory_bytes else finished(scenario, output)

@@ -36,6 +36,7 @@ REPORTED_VERSIONS = (
 )
 # Sections of the scenario that no map depends on.
 NOT_OF_MAPS = ("weights", "planning", "vehicle", "study")
+REMEDY = "name a file that can be read"
 MOST_SAID, NOT_SET = 6, "not set"  # of differing settings in one sentence
 DIGITS_SAID = 8  # of a SHA-256
 MAP_FOLDERS = (
@@ -139,6 +140,26 @@ def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str,
     Raises:
       InputError: a file that is missing (without a record) or cannot be read, or one of the system (`SYSTEM_FOLDERS`).
     """
+    files = {}
+    for role, name in _named_files(scenario).items():
+        file = located(scenario.path_of(name))
+        if recorded is not None and not os.path.exists(file):
+            continue
+        record = recorded and recorded.get(role, {})
+        files[role] = {"path": name} | _sum_and_size(file, role, record)
+    return files
+
+
+def check_inputs(scenario: Scenario) -> None:
+    """Raise InputError where a file that a scenario names is not there; none is read."""
+    for role, name in _named_files(scenario).items():
+        file = located(scenario.path_of(name))
+        with readable(file, "bytes", REMEDY, what=f"the {role} file {str(file)!r}"):
+            file.stat()
+
+
+def _named_files(scenario: Scenario) -> dict[str, Any]:
+    """Return the names of the files of a scenario, as it gives them, by the roles of `hash_inputs`."""
     buildings = None if scenario.is_synthetic else scenario.buildings.source
     named: dict[str, Any] = {
         "buildings": buildings,
@@ -153,14 +174,7 @@ def hash_inputs(scenario: Scenario, recorded: Inputs | None = None) -> dict[str,
         named[role] = getattr(scenario.population, role)
     for layer_name, layer in scenario.layers.items():
         named[f"layer_{layer_name}"] = layer.source
-    files = {}
-    for role, name in values_given(named).items():
-        file = located(scenario.path_of(name))
-        if recorded is not None and not os.path.exists(file):
-            continue
-        record = recorded and recorded.get(role, {})
-        files[role] = {"path": name} | _sum_and_size(file, role, record)
-    return files
+    return values_given(named)
 
 
 def unsized(inputs: Inputs) -> dict[str, dict[str, Any]]:
@@ -182,9 +196,7 @@ def _sum_and_size(path: Path, role: str, recorded: Mapping[str, Any] | None) -> 
     Raises:
       InputError: a file that is missing, of the system, or cannot be read; the message names its role.
     """
-    with readable(
-        path, "bytes", "name a file that can be read", what=f"the {role} file {str(path)!r}"
-    ):
+    with readable(path, "bytes", REMEDY, what=f"the {role} file {str(path)!r}"):
         parts = _companions(path)
         for part in parts:
             _check_usual(part)

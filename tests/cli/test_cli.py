@@ -169,11 +169,13 @@ def test_further_maps_are_written_when_they_are_asked_for(made, tmp_path, capsys
 
 
 @pytest.mark.slow
-def test_several_scenarios_are_made_in_one_call_and_a_refused_one_keeps_none_from_it(
+def test_several_scenarios_are_made_in_one_call_and_one_that_fails_keeps_none_from_it(
     made, tmp_path, capsys
 ):
     texts = {name: (made.parent / "town.toml").read_text() for name in ("a", "bad", "c")}
-    texts["bad"] = texts["bad"].replace("resolution_m = ", "resolution_m = -")
+    (tmp_path / "lone.tif").write_text("no raster")  # which only its reader sees
+    texts["bad"] += "[terrain]\nsource = 'lone.tif'\n"
+    texts["bad"] = texts["bad"].replace("synthetic", "sample:shinjuku")
     for name, text in texts.items():
         (tmp_path / f"{name}.toml").write_text(text)
     files = [tmp_path / f"{name}.toml" for name in texts]
@@ -190,9 +192,43 @@ def test_several_scenarios_are_made_in_one_call_and_a_refused_one_keeps_none_fro
     assert run(capsys, "maps", files[0], files[2], "-o", tmp_path / "out", *few)[0] == 0
     assert [file.stat().st_mtime_ns for file in runs] == before
 
-    code, _, err = run(capsys, "maps", files[0], files[0], "-o", tmp_path / "none")
+
+WRONG = {  # scenarios, and words of the sentence on each
+    "syntax.toml": (f"{TOWN}[bad", "syntax.toml' cannot be read as a scenario in TOML"),
+    "section.toml": (
+        TOWN.replace("[buildings]", "[building]"),
+        "section.toml: unknown section 'building'",
+    ),
+    "key.toml": (
+        TOWN.replace("altitudes_m", "altitude_m"),
+        "key.toml: unknown key 'region.altitude_m'",
+    ),
+    "file.toml": (TOWN.replace("synthetic", "gone.osm"), "file.toml: the buildings file '"),
+    "orbits.toml": (f"{TOWN}[gps]\norbits='gone.tle'", "orbits.toml: the orbits file '"),
+}
+
+
+def test_no_scenario_is_made_where_one_is_wrong_and_every_wrong_one_is_named(tmp_path, capsys):
+    (tmp_path / "good.toml").write_text(TOWN)
+    for name, (text, _) in WRONG.items():
+        (tmp_path / name).write_text(text)
+    files = [tmp_path / name for name in ("good.toml", *WRONG)]
+    code, out, err = run(capsys, "maps", *files, "-o", tmp_path / "out", "--json")
+    *lines, last = err.splitlines()
+    assert (code, len(lines)) == (2, len(WRONG)), err
+    for line, (_, words) in zip(lines, WRONG.values(), strict=True):
+        assert words in line
+        assert line.removeprefix("jaxurban: error: ") in json.loads(out)["message"]
+    assert last == "jaxurban: none of the 6 scenarios is made: mend the wrong ones"
+    assert not (tmp_path / "out").exists()
+
+
+def test_scenarios_of_one_name_are_named(made, tmp_path, capsys):
+    files = [made.parent / "town.toml", tmp_path / "town.toml"]
+    files[1].write_text(TOWN)
+    code, _, err = run(capsys, "maps", *files, "-o", tmp_path / "none")
     assert code == 2
-    assert_one_sentence(err, "two scenarios have one name")
+    assert_one_sentence(err, "two scenarios have one name", *map(str, files))
     assert not (tmp_path / "none").exists()
 
 
