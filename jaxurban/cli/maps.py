@@ -114,28 +114,44 @@ def maps_command(
 
     # Of several scenarios one whose files cannot be used keeps no other from being made.
     entries: list[Settings] = []
-    for folder, scenario in zip(folders, scenarios, strict=True):
+    kept: list[Path] = []  # folders whose maps were all there
+    jobs = zip(folders, scenario_files, scenarios, strict=True)
+    for number, (folder, file, scenario) in enumerate(jobs, start=1):
+        if len(folders) > 1:
+            LOG.info(f"{folder.name}, {number} of {len(folders)} ({file})")
+        if file.is_dir():
+            LOG.info(
+                f"{str(file)!r} is a folder of maps: they are made with the settings of its run"
+            )
         entry: Settings = {"folder": str(folder), "exit_code": ExitCode.DONE, "message": None}
         try:
-            entry |= make(scenario, folder)
+            record, is_kept = make(scenario, folder)
+            entry |= record
+            if is_kept:
+                kept.append(folder)
         except InputError as error:
             if len(folders) == 1:
                 raise
             entry |= {"exit_code": ExitCode.BAD_INPUT, "message": str(error)}
         entries.append(entry)
 
-    # What is printed: each warning once, and how each scenario ended.
+    # What is printed: each warning of what was made once, and how each scenario ended.
     warned: dict[str, list[str]] = {}
-    for entry in entries:
+    for folder, entry in zip(folders, entries, strict=True):
+        if folder in kept:
+            continue
         for warning in entry.get("warnings", ()):
-            warned.setdefault(warning, []).append(Path(entry["folder"]).name)
+            warned.setdefault(warning, []).append(folder.name)
     for warning, names in warned.items():
         of_which = f" ({', '.join(names)})" if len(entries) > 1 else ""
         LOG.warning(f"warning: {warning}{of_which}")
-    for entry in entries:
-        folder, message = entry["folder"], entry["message"]
-        done = f"maps finished: {folder} (run.json holds their settings and sources)"
-        LOG.info(f"error: {folder}: {message}" if message else done)
+    for folder, entry in zip(folders, entries, strict=True):
+        end = f"maps finished: {folder} (run.json holds their settings and sources)"
+        if folder in kept:
+            end = f"maps kept as finished: {folder} (run.json holds their settings, sources and warnings)"
+        if entry["message"]:
+            end = f"error: {folder}: {entry['message']}"
+        LOG.info(end)
     code = max(entry["exit_code"] for entry in entries)
     facts = entries[0] if len(entries) == 1 else {"scenarios": entries}
     message = "; ".join(filter(None, (entry["message"] for entry in entries)))
@@ -171,8 +187,11 @@ def _made(
     layers: tuple[str, ...],
     memory_bytes: int | None,
     workers: int | str | None,
-) -> Settings:
-    """Make the maps of a scenario in a folder, unless they are all there, and return the record of their run.
+) -> tuple[Settings, bool]:
+    """Make the maps of a scenario in a folder, unless they are all there.
+
+    Returns:
+      The record of their run, and whether they were all there.
 
     Raises:
       InputError: as of `jaxurban.maps.run.run_scenario`.
@@ -182,6 +201,7 @@ def _made(
 
     # Make the maps by libraries that neither finished ones nor a wrong scenario need wait for.
     record = None if has_figures or layers or memory_bytes else finished(scenario, output)
+    is_kept = record is not None
     made: dict[float, Any] = {}  # maps to draw, by resolution
     with reporting("maps") as report:
         if record is None:
@@ -214,4 +234,4 @@ def _made(
                 report("figures")
                 for resolution_m, maps_drawn in made.items():
                     save_figures(maps_drawn, (), output / "figures" / f"{resolution_m:g}m")
-    return record
+    return record, is_kept

@@ -185,12 +185,15 @@ def test_several_scenarios_are_made_in_one_call_and_one_that_fails_keeps_none_fr
     assert code == 2
     assert [each["exit_code"] for each in entries] == [0, 2, 0]
     assert (err.count("maps finished: "), err.count("error: ")) == (2, 1)
+    for number, (name, file) in enumerate(zip(texts, files, strict=True), start=1):
+        assert f"jaxurban: {name}, {number} of 3 ({file})\n" in err
     for warning in {*entries[0]["warnings"], *entries[2]["warnings"]}:
         assert err.count(f"warning: {warning} (a, c)") == 1
     runs = [tmp_path / "out" / name / "run.json" for name in ("a", "c")]
     before = [file.stat().st_mtime_ns for file in runs]
-    assert run(capsys, "maps", files[0], files[2], "-o", tmp_path / "out", *few)[0] == 0
+    code, _, err = run(capsys, "maps", files[0], files[2], "-o", tmp_path / "out", *few)
     assert [file.stat().st_mtime_ns for file in runs] == before
+    assert (code, err.count("maps kept as finished: "), err.count("warning: ")) == (0, 2, 0)
 
 
 WRONG = {  # scenarios, and words of the sentence on each
@@ -221,6 +224,13 @@ def test_no_scenario_is_made_where_one_is_wrong_and_every_wrong_one_is_named(tmp
         assert line.removeprefix("jaxurban: error: ") in json.loads(out)["message"]
     assert last == "jaxurban: none of the 6 scenarios is made: mend the wrong ones"
     assert not (tmp_path / "out").exists()
+
+
+def test_maps_named_in_the_place_of_a_scenario_are_said_to_be_made_again(made, tmp_path, capsys):
+    shutil.copytree(made, tmp_path / "maps")
+    code, _, err = run(capsys, "maps", made, "-o", tmp_path / "maps")
+    said = f"'{made}' is a folder of maps: they are made with the settings of its run"
+    assert (code, said in err) == (0, True), err
 
 
 def test_scenarios_of_one_name_are_named(made, tmp_path, capsys):
