@@ -64,6 +64,8 @@ def read_tiles(
             tables.append(read_vector(tile, near, file, crs))
     if bodies:
         tables.append(outlines_of(path, bodies, {crs} if crs else crs_names - {""}))
+    if not kinds:
+        raise InputError(f"{str(path)!r} is empty: name the file of buildings, or a folder of maps")
     if not tables:
         raise InputError(
             f"{str(path)!r} holds no object of CityGML or CityJSON and no outlines: name the file of buildings"

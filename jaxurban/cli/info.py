@@ -19,6 +19,7 @@ from jaxurban.io.stored import (
     REPORT_FILE,
     RUN_FILE,
     ZARR_FOLDER,
+    folders_of_maps,
     short_number,
     stored_maps,
     stored_resolutions,
@@ -65,7 +66,7 @@ def info_command(path: Path, place: Point | None, as_json: bool) -> None:
         else:
             print(things.columns.name)
         return
-    folders = _folders_of_maps(path)
+    folders = folders_of_maps(path)
     if has_maps:
         facts, numbers = _facts_of_maps(path)
     elif (path / REPORT_FILE).is_file():
@@ -153,13 +154,6 @@ def _line_of_zones(file: Path) -> str:
     states = ", ".join(f"{num} {state}" for state, num in counts.items())
     names = listed([f"{zone.name!r} {zone.heights}" for zone in zones])
     return f"no-fly zones ({states}: {names}): jaxurban plan DIR --no-fly {str(file)!r}"
-
-
-def _folders_of_maps(path: Path) -> list[Path]:
-    """Return the folders in a folder that hold maps, as those of several scenarios do."""
-    if not path.is_dir():
-        return []
-    return [each for each in sorted(path.iterdir()) if (each / ZARR_FOLDER).is_dir()]
 
 
 def _state_of(folder: Path) -> str:

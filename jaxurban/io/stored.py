@@ -9,6 +9,7 @@ from typing import Any
 from jaxurban.errors import InputError, not_there, reason_of
 from jaxurban.io.files import SCRATCH_SUFFIX, read_json
 from jaxurban.io.workspace import recorded
+from jaxurban.public import listed
 
 RUN_FILE = "run.json"
 REPORT_FILE = "report.md"  # of a study or a check
@@ -71,11 +72,25 @@ def stored_maps(folder: Path) -> dict[float, Path]:
     paths = stored_resolutions(folder)
     if not paths:
         _check_unfinished(folder)
+        folders = [repr(str(each)) for each in folders_of_maps(folder)]
+        if folders:
+            raise InputError(
+                f"{str(folder)!r} holds no maps itself, but folders of maps: name one of them, {listed(folders)}"
+            )
+        lack = "holds no metric maps, or not their checksums.json"
+        if not any(folder.iterdir()):
+            lack = "is empty"
         raise InputError(
-            f"{str(folder)!r} holds no metric maps, or not their checksums.json: make them with `jaxurban maps "
-            f"SCENARIO -o {folder}`"
+            f"{str(folder)!r} {lack}: make them with `jaxurban maps SCENARIO -o {folder}`"
         )
     return paths
+
+
+def folders_of_maps(folder: Path) -> list[Path]:
+    """Return the folders in a folder that hold maps, as those of several scenarios do."""
+    if not folder.is_dir():
+        return []
+    return [each for each in sorted(folder.iterdir()) if (each / ZARR_FOLDER).is_dir()]
 
 
 def num_tiles_in(work: Path) -> tuple[int, int]:
@@ -97,11 +112,17 @@ def unfinished_said(folder: Path) -> str:
     for work in work_paths(folder):
         num_done, num_tiles = num_tiles_in(work)
         resolution = work.name.removeprefix(".").removesuffix(f"m{SCRATCH_SUFFIX}")
-        states.append(f"{resolution} m has {num_done} of {num_tiles} tiles")
-    is_ended = (folder / RUN_FILE).exists() or not are_of_a_run(folder)
-    if len(states) == len(finished) and is_ended:
-        return ""
-    return f"{', '.join(states)}: the same `jaxurban maps` command goes on, if none is at work"
+        state = "is not begun"
+        if num_tiles:
+            state = f"has {num_done} of {num_tiles} tiles"
+        if 0 < num_tiles == num_done:
+            state += ", and files are still to be written"
+        states.append(f"{resolution} m {state}")
+    if len(states) == len(finished):
+        if (folder / RUN_FILE).exists() or not are_of_a_run(folder):
+            return ""
+        states.append(f"{RUN_FILE} is still to be written")
+    return f"{'; '.join(states)}: the same `jaxurban maps` command goes on, if none is at work"
 
 
 def _check_unfinished(folder: Path) -> None:
@@ -128,7 +149,7 @@ def stored_settings(folder: Path) -> dict[str, Any]:
     They are empty where the maps were saved from Python, or where there are none.
 
     Raises:
-      InputError: the file is damaged, or it is missing though a run made the maps.
+      InputError: the file is damaged, or it is missing though a run made the maps, which may not have ended.
     """
     try:
         return read_json(folder / RUN_FILE)["settings"]
@@ -136,6 +157,8 @@ def stored_settings(folder: Path) -> dict[str, Any]:
         is_missing = isinstance(error, FileNotFoundError)
         if is_missing and not are_of_a_run(folder):
             return {}
+        if is_missing:
+            _check_unfinished(folder)
         raise InputError(
             f"{str(folder / RUN_FILE)!r}, with the settings of the maps, cannot be read ({reason_of(error)}): run the "
             "same `jaxurban maps` command again, which writes it again"

@@ -490,18 +490,20 @@ def _files_under(folder: Path) -> list[str]:
 def _held(folder: Path) -> Iterator[None]:
     """Hold a folder during the block; it is made, and removed afterwards if it was not there and nothing is in it.
 
+    Folders above it that were made with it are removed with it.
+
     Raises:
       InputError: the folder cannot be written to, or another run holds it.
     """
-    is_new = not folder.exists()
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
     check_writable(folder)
     try:
         with only_writer(folder, ELSEWHERE):
             yield
     finally:
-        if is_new:
+        for path in made:
             with suppress(OSError):  # it holds what was written
-                folder.rmdir()
+                path.rmdir()
 
 
 def recorded(folder: Path) -> dict[str, set[str]]:

@@ -1,11 +1,12 @@
 """A scenario carried out: files in, metric maps and run.json out, resumable."""
 
+import os
 import time
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,7 +17,7 @@ from jaxurban.checks import values_given
 from jaxurban.errors import InputError, speaking
 from jaxurban.io import store, stored
 from jaxurban.io.city import City
-from jaxurban.io.files import RECORDER, check_writable, sweep_scraps
+from jaxurban.io.files import RECORDER, sweep_scraps
 from jaxurban.io.folders import WorkFolder
 from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
 from jaxurban.io.rasterise import bands_of, check_has_data, rasterise
@@ -182,7 +183,7 @@ def run_scenario(
         warn_of(guesses, known=city.guesses)
 
         # Whether the folder can be written to, and memory suffices. Only then is an older job's file touched.
-        check_writable(folder)
+        Workspace.check(folder, "maps", is_shared=True)
         num_threads = num_cores()
         if not isinstance(workers, str):  # the memory of a cluster's machines is not known here
             num_threads = plan_run(
@@ -206,7 +207,8 @@ def run_scenario(
             runs = [
                 RunContext(task, folder, key, num_threads, client, tuple(layers)) for task in tasks
             ]
-            made = [_complete_maps(run, workspace, watch, report) for run in runs]
+            with _waiting(folder, key, scenario.region.resolution_m):
+                made = [_complete_maps(run, workspace, watch, report) for run in runs]
             all_maps, are_kept = zip(*made, strict=True)
             store.put_root(folder)  # an earlier run may have ended before it wrote the root
 
@@ -312,6 +314,32 @@ def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
     for path in left_over:
         WorkFolder(path).discard()
     sweep_scraps(folder, folder / stored.ZARR_FOLDER, folder / stored.GEOTIFF_FOLDER)
+
+
+@contextmanager
+def _waiting(folder: Path, key: str, resolutions_m: Sequence[float]) -> Iterator[None]:
+    """Hold an empty work folder of each resolution that is not begun, from which others know that it will be made.
+
+    Where the block refuses the maps, empty folders are removed.
+
+    Args:
+      folder, key, resolutions_m: as of `_sweep`.
+    """
+    works = [
+        stored.work_path(folder, resolution_m)
+        for resolution_m in resolutions_m
+        if stored_key(folder, resolution_m) != key
+    ]
+    for work in works:
+        if not os.path.lexists(work):
+            work.mkdir(parents=True)
+    try:
+        yield
+    except InputError:
+        for path in (*works, folder / stored.ZARR_FOLDER):
+            with suppress(OSError):  # it holds what was made
+                path.rmdir()
+        raise
 
 
 def _complete_maps(

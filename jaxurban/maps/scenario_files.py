@@ -15,7 +15,7 @@ def read_scenario(path: Path, changes: Sequence[str] = ()) -> Scenario:
     """
     if not path.is_dir():
         return Scenario.from_toml(path, changes)
-    from jaxurban.maps.sources import scenario_of  # imported here: it brings what reads cities
+    from jaxurban.maps.sources import folder_of, scenario_of  # here: they bring what reads cities
 
-    settings = changed(stored_settings(path), changes)
+    settings = changed(stored_settings(folder_of(path)), changes)
     return Scenario.from_dict(settings, str(path / RUN_FILE), scenario_of(path).path_of(""))

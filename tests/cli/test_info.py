@@ -106,6 +106,28 @@ def test_info_says_the_title_of_the_report_in_a_folder(capsys, tmp_path):
     assert out == f"holds  a report, 'What differs': read '{tmp_path / 'report.md'}'\n"
 
 
+def test_of_a_folder_of_folders_of_maps_every_command_names_these(made, capsys, tmp_path):
+    for command in (("compare", made.parent, made, "-o", tmp_path / "x"), ("view", made.parent)):
+        code, _, err = run(capsys, *command)
+        assert code == 2
+        assert_one_sentence(err, "holds no maps itself", f"name one of them, '{made}'")
+    code, _, err = run(capsys, "maps", made.parent, "-o", tmp_path / "x")
+    assert code == 2
+    assert_one_sentence(err, f"name one of them, '{made}'")
+    assert not (tmp_path / "x").exists()
+
+
+def test_an_empty_folder_is_said_to_be_empty_and_a_refused_run_leaves_none(capsys, tmp_path):
+    code, _, err = run(capsys, "info", tmp_path)
+    assert code == 2
+    assert_one_sentence(err, f"'{tmp_path}' is empty")
+    (tmp_path / "town.toml").write_text(TOWN)
+    maps = "maps", tmp_path / "town.toml", "-o", tmp_path / "new" / "town"
+    code, _, err = run(capsys, *maps, "--memory", "1MiB")
+    assert (code, "memory" in err) == (2, True), err
+    assert not (tmp_path / "new").exists()
+
+
 HOUSE = shapely.box(-73.998, 40.757, -73.997, 40.758)
 ZONE = {
     "type": "Feature",

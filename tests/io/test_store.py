@@ -182,6 +182,9 @@ def chunks_in(path: Path) -> list[Path]:
 
 
 def test_opening_says_what_there_is(few, tmp_path):
+    with pytest.raises(InputError, match="is empty: make them with"):
+        store.open_zarr(tmp_path, None)
+    (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="holds no metric maps"):
         store.open_zarr(tmp_path, None)
     assert store.write_zarr(few, tmp_path) == tmp_path / "maps.zarr" / "2.5m"

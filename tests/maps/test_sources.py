@@ -59,7 +59,7 @@ def test_a_folder_of_maps_is_the_scenario_of_its_run_with_changes(folder, maps):
     assert again.path_of(again.buildings.source).samefile(folder / "city.geojson")
     with pytest.raises(ju.InputError, match="unknown"):
         read_scenario(maps, ["gps.musk_deg=40"])
-    with pytest.raises(ju.InputError, match="not made by `jaxurban maps`"):
+    with pytest.raises(ju.InputError, match="holds no maps itself"):
         read_scenario(folder)
 
 

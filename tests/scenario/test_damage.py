@@ -13,7 +13,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json, write_json
-from jaxurban.io.stored import stored_maps
+from jaxurban.io.stored import stored_maps, unfinished_said
 from jaxurban.maps import run as pipeline
 from jaxurban.maps.scenario import Scenario
 from jaxurban.progress import Report
@@ -163,7 +163,10 @@ def test_planning_on_damaged_maps_is_one_sentence(job, capsys, part, damage):
     harm(job / part, damage, random.Random(2))
     code, out, err = run(capsys, "plan", job, *ENDS, "--altitude", 20, "--snap")
     assert (code, out) == (2, "")
-    assert_one_sentence(err, "run the same `jaxurban maps` command again", str(job))
+    words = "run the same `jaxurban maps` command again"
+    if (part, damage) == ("run.json", "deleted"):  # as a run that was killed leaves maps
+        words = "20 m is finished; run.json is still to be written: the same `jaxurban maps` command goes on"
+    assert_one_sentence(err, words, str(job))
 
 
 def test_damaged_maps_of_another_job_are_not_taken_for_ours(job):
@@ -199,6 +202,28 @@ def test_unfinished_maps_say_how_many_tiles_there_are_and_a_resumed_run_how_many
     with caplog.at_level("INFO", logger="jaxurban"):
         pipeline.make_zarr(tiled_runs.maker(tmp_path / "job", city), Report(), tiled_runs.RAGGED)
     assert f"resumed, {left} of 20 m" in caplog.messages
+
+
+def test_unfinished_maps_say_what_is_not_begun_and_what_is_to_be_written(tmp_path):
+    region = SETTINGS["region"] | {"resolution_m": [40, 80], "altitudes_m": [20]}
+    states = ["0"]
+
+    def look(*_):
+        state = unfinished_said(tmp_path).partition(": ")[0]
+        if state != states[-1]:
+            states.append(state)
+
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS | {"region": region}), tmp_path, look)
+    assert [each for each in states if each not in ("0", "")] == [
+        "40 m is not begun; 80 m is not begun",
+        "40 m has 0 of 1 tiles; 80 m is not begun",
+        "40 m has 1 of 1 tiles, and files are still to be written; 80 m is not begun",
+        "40 m is finished; 80 m is not begun",
+        "40 m is finished; 80 m has 0 of 1 tiles",
+        "40 m is finished; 80 m has 1 of 1 tiles, and files are still to be written",
+        "40 m is finished; 80 m is finished; run.json is still to be written",
+    ]
+    assert unfinished_said(tmp_path) == ""
 
 
 @pytest.mark.slow
