@@ -24,7 +24,7 @@ from jaxurban.cities.columns import named_columns
 from jaxurban.cities.estimates import names_estimates
 from jaxurban.cities.guesses import census_guesses, height_guesses, structure_guesses
 from jaxurban.cities.lidar import Points, heights_of_points, read_points
-from jaxurban.cities.osm import OSM_SUFFIXES, header_box, read_osm
+from jaxurban.cities.osm import OSM_SUFFIXES, header_box, is_osm, read_osm
 from jaxurban.cities.outlines import Near, Outlines
 from jaxurban.cities.plausible import (
     TALLEST_PLANT_M,
@@ -372,10 +372,11 @@ def _check_is_not_empty(file: settings.Buildings, city: City, region: _Region) -
     if has_outline or has_roof or "none" in file.allow:
         return
     where = where_it_lies(lonlat_extent(file.source, file.crs), region.bounds)
+    # Files of OpenStreetMap are in degrees.
+    remedy = "" if is_osm(file.source) else " set [buildings] crs if the file declares a wrong one,"
     raise InputError(
         f"{str(file.source)!r} has no building in the region {list(region.bounds)}: {where}; "
-        "move [region] bounds there, set [buildings] crs if the file declares a wrong one, or set [buildings] "
-        'allow = ["none"] if there are none'
+        f'move [region] bounds there,{remedy} or set [buildings] allow = ["none"] if there are none'
     )
 
 

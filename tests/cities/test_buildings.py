@@ -28,6 +28,9 @@ from tests.made_files import (
     X,
     Y,
     box,
+    node,
+    osm,
+    way,
     write_features,
     write_raster,
     write_vector,
@@ -391,6 +394,20 @@ def test_coordinates_beyond_the_globe_are_refused_though_those_near_are_sound(tm
     shapes = [shapely.box(LON, LAT, LON + 1e-4, LAT + 1e-4), box(0, 0, 1, 1)]
     with pytest.raises(ju.InputError, match=r"city\.parquet.*degrees"):
         read_vector(write_vector(tmp_path / "city.parquet", shapes, WGS84), Near(BOX_M, UTM))
+
+
+def test_only_a_file_that_may_declare_a_wrong_crs_is_asked_for_it_where_its_region_is_elsewhere(
+    tmp_path,
+):
+    shape = shapely.box(LON, LAT, LON + 1e-4, LAT + 1e-4)
+    nodes = [node(number, *at) for number, at in enumerate(shape.exterior.coords[:-1], start=1)]
+    town = tmp_path / "town.osm"
+    town.write_text(osm(*nodes, way(9, (1, 2, 3, 4, 1), building="yes", height="10")))
+    vector = write_vector(tmp_path / "town.geojson", [shape], WGS84, height=[10.0])
+    for path, is_asked in ((town, False), (vector, True)):
+        with pytest.raises(ju.InputError, match="no building in the region") as refused:
+            ju.City.from_files(path, bounds=(10.0, 50.0, 10.01, 50.01))
+        assert ("crs" in str(refused.value)) is is_asked
 
 
 @pytest.mark.parametrize("suffix", [".geojson", ".gpkg"])
