@@ -61,7 +61,7 @@ FORMATS = {
     "docs/guides/formats.md; or take broadcast RINEX or SP3 of that day, which igs.bkg.bund.de holds",
     rb"\*+ *Week +\d+ +almanac": "a YUMA almanac: make element sets of it with the lines under 'Almanacs' in "
     "docs/guides/formats.md; or take broadcast RINEX or SP3 of that day, which igs.bkg.bund.de holds",
-    rb"(?:#[^\n]*\s)*QGC WPL": ".waypoints",
+    rb"(?:#[^\n]*\n\s*)*QGC WPL": ".waypoints",
     rb"[<\s]*<!DOCTYPE": "XML with a DOCTYPE, which is never read: remove it from the file",
     _ROOT + rb"osm\b": ".osm",
     _ROOT + rb"osmChange\b": "a list of changes to OpenStreetMap: apply it to a whole extract with "

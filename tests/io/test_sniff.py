@@ -542,3 +542,10 @@ def test_a_further_reader_needs_no_bounds_and_takes_columns(tmp_path, monkeypatc
     assert lonlat_extent(file) == pytest.approx(tuple(FRAME.total_bounds), abs=1e-6)
     columns = ju.Buildings(file, height_column="height", unit="m")
     assert len(ju.City.from_files(columns).buildings) == len(FRAME)
+
+
+def test_a_long_line_of_hashes_is_looked_at_in_a_moment(tmp_path):
+    (tmp_path / "notes.csv").write_text("# " * 1000 + "none")
+    assert sniff(tmp_path / "notes.csv") == ""
+    (tmp_path / "noted.waypoints").write_text("# by hand\n# twice\nQGC WPL 110\n")
+    assert sniff(tmp_path / "noted.waypoints") == ".waypoints"
