@@ -30,7 +30,7 @@ from jaxurban.checks import finite
 from jaxurban.errors import IgnoredZoneWarning, InputError, readable, warn
 from jaxurban.flights.missions.parts import GEOD, circle_around
 from jaxurban.io.broken import BROKEN
-from jaxurban.io.sniff import HEAD_BYTES, in_own_words, sniff, unpacked
+from jaxurban.io.sniff import FLOWN, HEAD_BYTES, in_own_words, sniff, unpacked
 from jaxurban.io.tables import is_blank
 from jaxurban.io.zone import TURN, Zone, made_valid
 from jaxurban.public import listed
@@ -147,6 +147,10 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     if path.is_dir():
         raise InputError(f"{str(path)!r} is a folder: name each file of no-fly zones in it")
     kind = sniff(path)
+    if kind in FLOWN:
+        raise InputError(
+            f"{str(path)!r} is a mission, and holds no zones: name a file of polygons, in GeoJSON or KML"
+        )
     with readable(path, "a file of zones", "fetch it again"), unpacked(path) as plain:
         content = plain.read_bytes()
     features = _geozones(content) if kind in GEOZONE_FORMATS else None

@@ -1,5 +1,6 @@
 """jaxurban check."""
 
+import os
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -8,12 +9,13 @@ from typing import Any, Literal, TypedDict
 import click
 
 import jaxurban
+from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
+from jaxurban.io.stored import stored_maps
 from jaxurban.knowledge import Caution
 from jaxurban.progress import LOG
 from jaxurban.terminal.common import (
     FILES,
-    FOLDER,
     GIVEN,
     JSON_FLAG,
     KEPT_CLEAR,
@@ -24,12 +26,13 @@ from jaxurban.terminal.common import (
     SOURCES,
     TIME_OF_DAY,
     ZONES,
+    NamedPath,
     Point,
     Settings,
     constraints_given,
     print_json,
 )
-from jaxurban.terminal.options import Values, command, grouped_options
+from jaxurban.terminal.options import TYPED, Values, command, grouped_options
 
 CODES = {"clean": ExitCode.DONE, "findings": ExitCode.FINDINGS, "not-judged": ExitCode.NOT_JUDGED}
 
@@ -78,8 +81,20 @@ class Corridor(TypedDict):
     cell_m: float
 
 
+def _check_maps(folder: Path) -> None:
+    """Raise InputError of a folder without maps (`stored_maps`), or where a mission and its folder are exchanged."""
+    words = [Path(word) for word in click.get_current_context().meta[TYPED]]
+    number = words.index(folder) + 1
+    if folder.is_file() and any(map(os.path.isdir, words[number : number + 1])):
+        raise InputError(
+            f"{str(folder)!r} is a file, and {str(words[number])!r} a folder: exchange the two, as in `jaxurban check "
+            "DIR MISSION`"
+        )
+    stored_maps(folder)
+
+
 @command()
-@FOLDER
+@click.argument("folder", metavar="DIR", type=NamedPath(_check_maps), is_eager=True)
 @click.argument("mission", metavar="MISSION", type=GIVEN)
 @click.option(
     "--heights", type=Values(FileHeights), default="", help="What heights of the file are above."

@@ -85,6 +85,8 @@ FORMATS = {
     "`sed -E 's/SRID=[0-9]+;//' FILE > wkt.csv` if its coordinates are longitude and latitude",
     _TABLE + rb"(?:POLYGON|SURFACE)\b)": ".csv",
     rb"(?i:(?=[^\r\n]*,)[^\r\n\0]*\blat)": ".txt",
+    rb"(?:#[^\n]*\n\s*)*\[[a-z_]+(?:\.\w+)*\]\s": "settings in TOML, as a scenario's: `jaxurban maps` and "
+    "`jaxurban study` read a scenario, and here a file of another kind is asked for",
 }
 
 

@@ -46,6 +46,11 @@ REFUSED = [
     ("return maps --home=40.756,-73.999", "home", "longitude and latitude look swapped"),
     ("info map", "'map' does not exist (did you mean 'maps'?): check the path"),
     ("check maps tonw.toml", "did you mean 'town.toml'?"),
+    ("check maps town.toml", "'town.toml' is a scenario, and no mission", ".plan, .waypoints"),
+    ("check flown.plan maps", "'flown.plan' is a file", "exchange the two", "check DIR MISSION"),
+    ("tune maps town.toml -o {out}", "'town.toml' is settings in TOML", "jaxurban maps"),
+    (f"{PLAN} 60 --no-fly flown.plan", "is a mission, and holds no zones", "GeoJSON or KML"),
+    (f"{PLAN} 60 --no-fly town.toml", "'town.toml' is settings in TOML"),
     ("tune maps flown.plan -o {out}", "'flown.plan' is a mission", "as .geojson, .kml or .gpx"),
     (
         "plan map --start=-73.999,40.756 --goal=-73.994,40.76 --altitude 60",

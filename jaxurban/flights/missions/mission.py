@@ -199,6 +199,10 @@ def _opened(
     """Yield a mission's format, one of ``suffixes``, and its bytes or ``data``, and name its file in errors."""
     with readable(path, "a mission", "save it again in the tool that made it"):
         size = path.stat().st_size if data is None else len(data)
+        if path.suffix.lower() == ".toml":
+            raise InputError(
+                f"{str(path)!r} is a scenario, and no mission: name a file that ends in one of {', '.join(suffixes)}"
+            )
         if size > MOST_BYTES and sniff(path, data) != ".ulg":
             raise InputError(
                 f"{str(path)!r} holds more than 16 MB, which no mission does: name another file"
