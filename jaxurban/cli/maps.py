@@ -135,10 +135,10 @@ def maps_command(
             entry |= {"exit_code": ExitCode.BAD_INPUT, "message": str(error)}
         entries.append(entry)
 
-    # What is printed: each warning of what was made once, and how each scenario ended.
+    # What is printed: each warning once, among several scenarios only of what was made, and how each ended.
     warned: dict[str, list[str]] = {}
     for folder, entry in zip(folders, entries, strict=True):
-        if folder in kept:
+        if len(folders) > 1 and folder in kept:
             continue
         for warning in entry.get("warnings", ()):
             warned.setdefault(warning, []).append(folder.name)

@@ -170,12 +170,12 @@ def test_further_maps_are_written_when_they_are_asked_for(made, tmp_path, capsys
 
 @pytest.mark.slow
 def test_several_scenarios_are_made_in_one_call_and_one_that_fails_keeps_none_from_it(
-    made, tmp_path, capsys
+    tmp_path, capsys
 ):
-    texts = {name: (made.parent / "town.toml").read_text() for name in ("a", "bad", "c")}
+    town = write_city(tmp_path, box(-73.998, 40.757, -73.997, 40.758))
+    texts = dict.fromkeys(("a", "bad", "c"), town.read_text())
     (tmp_path / "lone.tif").write_text("no raster")  # which only its reader sees
     texts["bad"] += "[terrain]\nsource = 'lone.tif'\n"
-    texts["bad"] = texts["bad"].replace("synthetic", "sample:shinjuku")
     for name, text in texts.items():
         (tmp_path / f"{name}.toml").write_text(text)
     files = [tmp_path / f"{name}.toml" for name in texts]
@@ -187,6 +187,7 @@ def test_several_scenarios_are_made_in_one_call_and_one_that_fails_keeps_none_fr
     assert (err.count("maps finished: "), err.count("error: ")) == (2, 1)
     for number, (name, file) in enumerate(zip(texts, files, strict=True), start=1):
         assert f"jaxurban: {name}, {number} of 3 ({file})\n" in err
+    assert entries[0]["warnings"]
     for warning in {*entries[0]["warnings"], *entries[2]["warnings"]}:
         assert err.count(f"warning: {warning} (a, c)") == 1
     runs = [tmp_path / "out" / name / "run.json" for name in ("a", "c")]
@@ -194,6 +195,8 @@ def test_several_scenarios_are_made_in_one_call_and_one_that_fails_keeps_none_fr
     code, _, err = run(capsys, "maps", files[0], files[2], "-o", tmp_path / "out", *few)
     assert [file.stat().st_mtime_ns for file in runs] == before
     assert (code, err.count("maps kept as finished: "), err.count("warning: ")) == (0, 2, 0)
+    _, _, err = run(capsys, "maps", files[0], "-o", tmp_path / "out" / "a", *few)  # alone
+    assert err.count("warning: ") == len(entries[0]["warnings"])
 
 
 WRONG = {  # scenarios, and words of the sentence on each
@@ -403,7 +406,7 @@ def test_complete_maps_are_answered_soon_and_changed_ones_are_made_again(made, t
     words = ["maps", "town.toml", "-o", "maps"]
     record = (tmp_path / "maps/run.json").read_bytes()
     heavy, said = heavy_after(words, tmp_path)
-    assert (heavy, "maps finished" in said) == ("", True)
+    assert (heavy, "maps kept as finished" in said) == ("", True)
     assert (tmp_path / "maps/run.json").read_bytes() == record
 
     # Settings that no map depends on are written to the record, and what is damaged is made again.
