@@ -149,7 +149,7 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     kind = sniff(path)
     if kind in FLOWN:
         raise InputError(
-            f"{str(path)!r} is a mission, and holds no zones: name a file of polygons, in GeoJSON or KML"
+            f"{str(path)!r} is a mission, and no file of zones: name one of polygons, in GeoJSON or KML"
         )
     with readable(path, "a file of zones", "fetch it again"), unpacked(path) as plain:
         content = plain.read_bytes()

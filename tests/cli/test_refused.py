@@ -49,7 +49,7 @@ REFUSED = [
     ("check maps town.toml", "'town.toml' is a scenario, and no mission", ".plan, .waypoints"),
     ("check flown.plan maps", "'flown.plan' is a file", "exchange the two", "check DIR MISSION"),
     ("tune maps town.toml -o {out}", "'town.toml' is settings in TOML", "jaxurban maps"),
-    (f"{PLAN} 60 --no-fly flown.plan", "is a mission, and holds no zones", "GeoJSON or KML"),
+    (f"{PLAN} 60 --no-fly flown.plan", "is a mission, and no file of zones", "GeoJSON or KML"),
     (f"{PLAN} 60 --no-fly town.toml", "'town.toml' is settings in TOML"),
     ("tune maps flown.plan -o {out}", "'flown.plan' is a mission", "as .geojson, .kml or .gpx"),
     (
