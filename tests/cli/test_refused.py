@@ -59,7 +59,6 @@ REFUSED = [
     ),
     ("maps section.toml -o {out}", "unknown section 'building' (did you mean 'buildings'?)"),
     ("maps key.toml -o {out}", "unknown key 'buildings.sorce' (did you mean 'source'?)"),
-    ("check maps town.toml", "'town.toml' is none of the files that are read here", ".plan"),
     ("check maps maps", "'maps' is a folder, not a mission: name a file"),
     ("check maps empty.plan", "'empty.plan' cannot be read as a mission (it is empty)"),
     ("info empty.geojson", "'empty.geojson' cannot be read as a vector file (it is empty)"),
