@@ -1,6 +1,7 @@
 """The strip of departures: by time, what routes cost above the best time, and how far they fly without a fix."""
 
 import math
+from itertools import product
 from typing import Unpack
 
 import pandas as pd
@@ -19,12 +20,13 @@ from jaxurban.draw.style import (
     name_rows,
 )
 from jaxurban.maps.metric_maps import MapsLike, as_maps
-from jaxurban.paths.when import Departures
+from jaxurban.paths.when import NIGHT, Departures
 from jaxurban.pictures import Form
 from jaxurban.settings import time_said
 
 MOST_TICKS, HEIGHT_IN = 8, 3.0
 BAR_IN, BAR_COLOUR = 0.35, "#9ecae1"  # of times of day: height, and a colour that ink is read on
+NIGHT_COLOUR = "#e4e4ec"
 MARK_PT = 4.0  # of a hollow mark, over others
 FACTS = "best", "worst", "times without a path"  # of the departures, in the note
 WIDTHS_PT = 6.0, 2.5, *(1.2,) * 5  # of the lines, whose marks are as much wider
@@ -37,9 +39,10 @@ LEAST_TOP = 10.0, 50.0  # of the scales, percent and metres, so that a small eff
 def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> Figure:
     """Return the cost above the best time and the length without a fix by time, a line for each time of day.
 
-    At hollow marks a route differs from the best time's. A line has a gap where a route has no path. With one time
-    alone there are bars of the cost and of the length without a fix, one for each time of day. Where no fix is known to
-    be lost, that panel is left out.
+    Where each time has its own day or night there is one line, and the nights are shaded. At hollow marks a route
+    differs from the best time's. A line has a gap where a route has no path. With one time alone there are bars of the
+    cost and of the length without a fix, one for each time of day. Where no fix is known to be lost, that panel is left
+    out.
 
     Args:
       departures: from `jaxurban.when`.
@@ -72,7 +75,8 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
 
     # A line for each time of day, later ones thinner, so that all are seen where they coincide.
     cost, *no_fix = axes
-    lines = _lines(table)
+    is_paired = table["time"].is_unique and table["time_of_day"].nunique() > 1
+    lines = [("", table)] if is_paired else _lines(table)
     widths_pt = WIDTHS_PT[len(lines) == 1 :]  # a line alone hides none
     for colour, wide_pt, (name, line) in zip(SERIES_COLOURS, widths_pt, lines, strict=False):
         above = 100 * line["above_best"]
@@ -96,6 +100,11 @@ def plot_when(departures: Departures, maps: MapsLike, **form: Unpack[Form]) -> F
         )
         for panel in no_fix:
             panel.plot(line["x"], line["no_fix_m"], color=colour, linewidth=wide_pt)
+    if is_paired:
+        nights = table["x"][table["time_of_day"] == NIGHT]
+        for panel, x in product(axes, nights):
+            label = "night" if (panel, x) == (cost, nights.iloc[0]) else ""
+            panel.axvspan(x - 0.5, x + 0.5, color=NIGHT_COLOUR, zorder=0, label=label)
     cost.plot([], [], "ok", markerfacecolor="white", label="another route than at the best time")
     legend_above(cost)
 

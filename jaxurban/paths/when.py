@@ -1,6 +1,6 @@
 """when: the same routes planned at every time that maps hold, and the one at which they cost the least together."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import product
@@ -33,9 +33,13 @@ from jaxurban.paths.queries import PlannedPaths, QueriesLike, table_of
 from jaxurban.paths.route_report import DENSITY
 from jaxurban.progress import Progress
 from jaxurban.public import FactsRepr, listed
+from jaxurban.settings import parse_time
 
 TIMES = ["time", "time_of_day"]
 PEOPLE = "people_overflown"
+DAY, NIGHT = "day", "night"
+DAY_H = 7, 19  # from and to, in local solar time
+OWN_DAY = ", each with the people of its own day (7 to 19 h of local solar time) or night"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -101,6 +105,9 @@ class Departures(FactsRepr):
         """The best and the worst time, how small the effect is, and which routes have no path at some time."""
         table = self.table
         facts = {"times": f"{len(table)}"}
+        maps = next(filter(None, self.paths)).maps
+        if maps is not None and [*table["time_of_day"]] == _days_and_nights(table["time"], maps):
+            facts["times"] += OWN_DAY
 
         # The effect, where at some time all routes have a path.
         if self.best is not None:
@@ -156,8 +163,9 @@ def when(
 ) -> Departures:
     """Plan each route at every time that maps hold (`plan_many`), and return what the routes cost and lead over.
 
-    Every time of the GPS maps is taken with every time of day of the population maps, as no rule says which belong
-    together. Where ``time`` or ``time_of_day`` is given, that one alone is taken.
+    Of several times of the GPS maps each is taken with the people of its own day or night: day is from 7 to 19 hours of
+    local solar time, UTC and an hour for every 15 degrees of longitude. One time alone is taken with both, and with
+    every hour of the week each time is. Where ``time`` or ``time_of_day`` is given, that one alone is taken.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
@@ -230,7 +238,7 @@ def when(
 
 
 def _times_held(maps: MetricMaps, time: str | None, time_of_day: str | None) -> pd.DataFrame:
-    """Return a table with the columns `TIMES`: a row for every time of maps with every time of day.
+    """Return a table with the columns `TIMES`: a row for every time of maps with every time of day that it may be.
 
     Args:
       maps: the maps; where they hold no times, or no times of day, the column holds None.
@@ -244,12 +252,24 @@ def _times_held(maps: MetricMaps, time: str | None, time_of_day: str | None) -> 
         maps.times_of_day if maps.times_of_day and time_of_day is None else (time_of_day,)
     )
     table = pd.DataFrame(product(times, times_of_day), columns=TIMES)
+    if len(times) > 1 and {DAY, NIGHT} <= {*times_of_day}:
+        is_own = table["time_of_day"] == _days_and_nights(table["time"], maps)
+        is_own |= ~table["time_of_day"].isin([DAY, NIGHT])  # an hour of the week
+        table = table[is_own].reset_index(drop=True)
     if len(table) == 1:
         raise InputError(
             "there is one time alone to fly at: make maps of several, as with gps=Gps(times=(FIRST, LAST), "
             'step_s=3600, series="epochs"), and leave time or time_of_day out'
         )
     return table
+
+
+def _days_and_nights(times: Iterable[str | None], maps: MetricMaps) -> list[str]:
+    """Return whether it is day or night (`DAY_H`) in the middle of maps, at each UTC time that there is."""
+    moments = [parse_time(time) for time in filter(None, times)]
+    hours = np.array([moment.hour + moment.minute / 60 for moment in moments])
+    solar_h = (hours + maps.grid.centre_lonlat[0] / 15) % 24
+    return np.where((solar_h >= DAY_H[0]) & (solar_h < DAY_H[1]), DAY, NIGHT).tolist()
 
 
 def _with_sums(table: pd.DataFrame, routes: pd.DataFrame) -> pd.DataFrame:
