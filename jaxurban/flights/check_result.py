@@ -29,9 +29,9 @@ STATES: dict[State, str] = {
 }
 NUMBERS = {  # of `MissionCheck.figures`, in words; one that is missing leaves its line out
     "no-fly zones": "{num_zones_in_force} of {num_zones} in force",
-    "length": "{length_m:,.0f} m, {on_maps_m:,.0f} m of it over the maps",
-    "no fix": "{no_fix_by_time_m}{fix_unknown_m}",
-    "people overflown": "{people_overflown:,.0f}{people_unknown_m}",
+    "length": "{length_m:,.0f} m, {on_maps_m:,.0f} m of it over the maps at a known height",
+    "no fix": "{fix_unknown_m}",
+    "people overflown": "{people_unknown_m}",
     "densest kilometre": "{densest_km_people:,.0f} people, from {densest_km_from_m:,.0f} m on",
     "nearest obstacle": "{nearest_wall_m:,.1f} m away, by whole cells of {cell_m:g} m, which reach beyond outlines",
     "lowest over roofs": "{least_over_roofs_m:,.1f} m, by the same cells",
@@ -124,14 +124,20 @@ class MissionCheck(Result):
         """The figures in words, by what they are about, such as ``"no fix"``."""
         by_time = self.figures.get("no_fix_by_time_m", {})
         lost = [f"{lost_m:,.0f} m at {time_said(time)}" for time, lost_m in by_time.items()]
-        texts = {
-            **self.figures,
-            "no_fix_by_time_m": ", ".join(lost),
-            "cell_m": self.maps.grid.resolution_m,
+        texts = {**self.figures, "cell_m": self.maps.grid.resolution_m}
+        people = self.figures.get("people_overflown", 0.0)
+        known = {
+            "fix_unknown_m": (", ".join(lost), any(by_time.values())),
+            "people_unknown_m": (f"{people:,.0f}", people),
         }
-        for name in {"fix_unknown_m", "people_unknown_m"} & texts.keys():
+        for name in known.keys() & texts.keys():
+            text, is_more = known[name]
             unknown_m = round(texts[name])
-            texts[name] = f"; not known on {unknown_m:,} m" if unknown_m else ""
+            # Nothing on a mission of which nothing is known is no 0.
+            parts = [text] if is_more or unknown_m < round(texts["length_m"]) else []
+            if unknown_m or not parts:
+                parts.append(f"not known on {unknown_m:,} m")
+            texts[name] = "; ".join(parts)
         numbers = {}
         for name, words in NUMBERS.items():
             with suppress(KeyError):

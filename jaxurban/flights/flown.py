@@ -67,7 +67,8 @@ def figures_of(
         people = people_below(np.nan_to_num(density), steps, SWATH_M)
         unknown_m = float(length_m[np.isnan(density)].sum()) + off_m
         figures |= {"people_overflown": float(people.sum()), "people_unknown_m": unknown_m}
-        figures |= densest_of(people, steps)
+        if np.isfinite(density).any():
+            figures |= densest_of(people, steps)
 
     # Clearances: of a few steps, and of all that may be nearer to an obstacle.
     is_known = np.isfinite(steps.z_m).all(axis=1)

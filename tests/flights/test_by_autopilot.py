@@ -131,7 +131,7 @@ def test_a_roof_at_the_place_of_the_take_off_is_met_by_px4_alone_and_said(tmp_pa
     result = checked(scene, tmp_path, wpl(scene, up((150, 400)), to(100, 200)), "m.waypoints")
     assert result.state == "findings"
     assert set(result.findings["autopilot"]) == {"px4"}
-    assert all(text.startswith("Flown by PX4: Flies up to") for text in result.sentences)
+    assert all(text.startswith("Flown by PX4: Flies through") for text in result.sentences)
     assert "autopilot: ArduPilot and PX4" in result.lines
     record = json.loads(json.dumps(result.to_dict(), allow_nan=False))
     assert record["autopilots"] == ["ardupilot", "px4"]

@@ -389,6 +389,10 @@ def test_a_mission_that_lies_elsewhere_says_where_it_and_the_maps_lie_and_what_l
         assert result.state == "not-judged"
         assert result.sentence.startswith(words.partition("{}")[0] + point)
         assert ("longitude and latitude look swapped" in result.sentence) == is_swapped
+        nothing_m = f"not known on {result.figures['length_m']:,.0f} m"
+        texts = [result.facts.get(name) for name in ("no fix", "people overflown")]
+        assert texts == [nothing_m] * 2
+        assert "densest kilometre" not in result.facts
         assert (
             any(text.startswith("Home lies elsewhere") for text in result.not_judged) == is_swapped
         )
@@ -768,7 +772,7 @@ def test_figures_are_in_words_and_their_keys_stay(lost_scene):
     unsure = replace(result, figures=unknown).facts
     assert unsure["no fix"] == f"{lost}; not known on 1,234 m"
     assert "not known" not in unsure["people overflown"]
-    assert result.facts["length"] == "600 m, 600 m of it over the maps"
+    assert result.facts["length"] == "600 m, 600 m of it over the maps at a known height"
     assert all("_" not in line for line in result.lines if "return: " not in line)
     by_time = result.to_dict()["figures"]["no_fix_by_time_m"]
     assert by_time == {ON: pytest.approx(70, abs=1), OFF: pytest.approx(10, abs=1)}
