@@ -24,7 +24,7 @@ OF_STRETCH = {  # of its steps
 MOST_STRETCHES = 1_000  # that a mission is cut into: those of long ones are longer than a cell
 FANS_AT_ONCE = 500  # so that few pairs of them and outlines are held
 BEYOND = (
-    "No return up to the ceiling, {} m above the ground at home, clears all from the ways to items {}, which need up "
+    "No return up to the ceiling, {} m above the ground at home, clears all from the ways to {}, which need up "
     "to {:.0f} m: set a rally point there, or return along the way flown."
 )
 UNKNOWN = (
@@ -167,13 +167,16 @@ def return_lines(departures: pd.DataFrame, flight: Flight, ceiling_m: int) -> li
     """
     lines = []
     mission = flight.mission
+    everywhere = departures
     unknown = departures["item"][departures["least_m"].isna()]
     has_gaps = mission.not_judged or len(flight.unknown) or len(unknown)
     cleared = "all that is judged" if has_gaps else "all"
     low = low_returns(departures, mission.autopilot, 0.0)
     beyond = low[low["least_m"].map(typed_m) > ceiling_m - mission.home_above_ground_m]
     if len(beyond):
-        items = listed([*map(str, beyond["item"].unique())])
+        numbers = [*map(str, beyond["item"].unique())]
+        noun = "item" if len(numbers) == 1 else "items"
+        items = f"{noun} {listed(numbers)}"
         lines.append(BEYOND.format(ceiling_m, items, beyond["least_m"].max()))
         departures = departures.drop(beyond.index)
         low = low.drop(beyond.index)
@@ -190,7 +193,11 @@ def return_lines(departures: pd.DataFrame, flight: Flight, ceiling_m: int) -> li
         parameters = parameter_texts(least_m, mission.autopilot, departures)
         lines += [f"{program}: {text}" for program, text in parameters.items()]
     elif departures["least_m"].notna().any():
-        lines.append(
-            f"A return clears {cleared} at the height that the flight has, wherever it begins."
-        )
+        line = f"A return clears {cleared} at the height that the flight has, wherever it begins"
+        named_m = mission.return_altitude_m
+        if not np.isnan(named_m):
+            failing = low_returns(everywhere, mission.autopilot, named_m)["item"]
+            fails = f"fails from item {failing.iloc[0]} on" if len(failing) else "clears it too"
+            line += f"; one at {named_m:g} m {fails}"
+        lines.append(f"{line}.")
     return [*map(UNKNOWN.format, unknown[:1]), *lines]  # no number is read before a gap

@@ -101,7 +101,11 @@ class ReturnAltitude(FactsRepr):
     @property
     def facts(self) -> dict[str, str]:
         """What one altitude clears, what is kept, and what to type into autopilots."""
-        typed = parameter_texts(self.figures["typed_m"])
+        figures = self.figures
+        typed = parameter_texts(figures["typed_m"])
+        if figures["clear_share"] < 1:
+            share = f" This clears {figures['clear_share']:.1%} of the area."
+            typed = {name: text + share for name, text in typed.items()}
         kept = describe_constraints(self.limits.to_dict())
         return {"clears": self.sentence, "kept": kept, **typed}
 

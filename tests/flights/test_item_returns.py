@@ -303,6 +303,22 @@ def test_a_flight_above_all_may_return_at_its_own_height(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_named_altitude_is_answered_where_every_return_that_fails_is_beyond_the_ceiling():
+    maps, city = scene_of(hills=False)
+    home, *places = places_of(maps, 7, 30)
+    result = judged(maps, city, mission_over(home, places))
+    table = result.return_altitudes.assign(least_m=[200.0, *[1.0] * (len(places) - 1)])
+    for named_m, answer in (
+        (150.0, f"fails from item {table['item'][0]} on"),
+        (250.0, "clears it"),
+    ):
+        mission = replace(result.flight.mission, return_altitude_m=named_m)
+        beyond, line = return_lines(table, replace(result.flight, mission=mission), 120)
+        assert f"from the ways to item {table['item'][0]}, which need up to 200 m" in beyond
+        assert f"; one at {named_m:g} m {answer}" in line
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["leg", "climb", "land"])
 def test_a_straight_descent_or_landing_away_from_home_needs_what_its_place_needs(kind):
     maps, city = scene_of(hills=False)

@@ -94,6 +94,8 @@ def test_at_the_ceiling_a_return_clears_the_cells_that_need_no_more_and_no_more_
         "the way flown."
     )
     assert home.facts["PX4"].startswith("RTL_RETURN_ALT = 40 (m)")
+    share = home.figures["clear_share"]
+    assert home.facts["PX4"].endswith(f" This clears {share:.1%} of the area.")
     exact = ju.return_altitude(maps, ju.XY(*maps.grid.xy_of_cell(20, 25)), ceiling_m=83)
     assert exact.figures["clear_share"] == np.isfinite(exact.altitude_m).mean()
     assert exact.sentence.startswith("A return at 83 m")
