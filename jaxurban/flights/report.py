@@ -154,7 +154,8 @@ def plot_flown_heights(result: MissionCheck) -> Figure:
     figure = chart(HEIGHT_IN, "Height along the mission")
     axes = figure.subplots()
     roof_m = np.where(is_before_gap, np.nan, result.maps.m(TOUCHED)[tuple(steps.cell.T)])
-    axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label="roofs of the cells below")
+    label = "roofs of the cells below, which reach beyond outlines"
+    axes.fill_between(along_m, 0, roof_m, color=BUILT_COLOUR, label=label)
     axes.plot(along_m, np.where(is_before_gap, np.nan, steps.z_m[:, 0]), **MISSION)
     axes.set(xlabel="flown (m)", ylabel="height above\nground (m)")
     dress(axes)
