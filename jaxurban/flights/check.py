@@ -24,11 +24,12 @@ from jaxurban.flights.missions.mission import read_mission
 from jaxurban.flights.missions.parts import Datum, FlownBy, Leg, LonLat, Mission, Place
 from jaxurban.io.city import City
 from jaxurban.io.zone import check_reach, unknown_cautions
-from jaxurban.kernels.tolerances import FILE_MARGIN_M
+from jaxurban.kernels.tolerances import FILE_MARGIN_M, GROUND_TOLERANCE_M
 from jaxurban.knowledge import GuessKind
 from jaxurban.maps.metric_maps import MapsLike, MetricMaps, as_maps
 from jaxurban.maps.sources import Standing, left_out, standing_on
 from jaxurban.paths.ceiling import CEILING_M
+from jaxurban.paths.clearance import reaches_m
 from jaxurban.paths.closed import constraints_of
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.elevation import Elevation
@@ -160,14 +161,17 @@ def check(
     found, unknown, unjudged, flown, departures = {}, {}, {}, {}, []
     for name, way in mission.ways.items():
         flight = flight_of(way, Elevation(maps, city), geoid_m)
-        findings, parts = judged(flight, buildings, known, limits, times, time_of_day, ceiling_m)
+        findings, parts, legs = judged(
+            flight, buildings, known, limits, times, time_of_day, ceiling_m
+        )
         numbers = figures | figures_of(flight, maps, times, time_of_day)
         exceeded, open_limits = _against_maxima(flight, numbers, max_no_fix_m, max_people)
         open_limits += unknown_cautions(limits.zones)
         found[name] = concatenated([findings, exceeded])
         unjudged[name] = unjudged_stretches(parts, flight)
         unknown[name] = _not_judged(maps, standing, flight, buildings, unjudged[name], open_limits)
-        flown[name] = flight, numbers
+        notes = [*way.notes, *_height_notes(flight), *_home_notes(flight, buildings), *legs]
+        flown[name] = replace(flight, mission=replace(way, notes=tuple(notes))), numbers
         departures.append(departures_of(flight, buildings, known, limits))
 
     # Of two autopilots that with the most findings, and what the other one meets.
@@ -226,6 +230,40 @@ def _above_roof(flight: Flight, buildings: Prisms) -> list[str]:
     return [
         f"Home is said to be {above_m:.1f} m above the ground, and the known roofs there reach {roof_m:.1f} m, so the "
         "flight may be lower than judged: correct home_above_ground_m (--heights home_above_ground_m=METRES)."
+    ]
+
+
+def _height_notes(flight: Flight) -> list[str]:
+    """Return a sentence where legs are higher above the ground than most countries allow."""
+    most_m = flight.steps.z_m.max(initial=0.0, where=np.isfinite(flight.steps.z_m))
+    if most_m <= CEILING_M + GROUND_TOLERANCE_M:
+        return []
+    return [
+        f"Legs reach {most_m:.0f} m above the ground, over the {CEILING_M} m that most countries allow: if the heights "
+        "were meant in feet, give them in metres."
+    ]
+
+
+def _home_notes(flight: Flight, buildings: Prisms) -> list[str]:
+    """Return a sentence where home is inside a known building, with what to name and the nearest free cell."""
+    mission, maps = flight.mission, flight.ground.maps
+    if mission.home is None:
+        return []
+    home_m = np.array(maps.grid.xy_of_lonlat(*mission.home))
+    above_m = mission.home_above_ground_m + FILE_MARGIN_M
+    is_there = shapely.intersects(buildings.polygons, shapely.Point(home_m))
+    is_there &= (buildings.floor_m <= above_m) & (buildings.top_m > above_m)
+    if not is_there.any():
+        return []
+    where = ""
+    cells = np.argwhere(np.maximum(*reaches_m(maps, 0.0, "highest")) <= 0)
+    if len(cells):
+        away_m = np.linalg.norm(np.column_stack(maps.grid.xy_of_cell(*cells.T)) - home_m, axis=1)
+        lon, lat = maps.grid.lonlat_of_cell(*cells[away_m.argmin()])
+        where = f" (--home {lon:.6f},{lat:.6f} is the nearest free cell, {away_m.min():.0f} m away)"
+    return [
+        f"Home is inside a building of {buildings.top_m[is_there].max():.1f} m: if it is on the roof, name its height "
+        f"(home_above_ground_m, --heights home_above_ground_m=METRES), else move it to free ground{where}."
     ]
 
 

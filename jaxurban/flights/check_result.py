@@ -19,6 +19,7 @@ from jaxurban.io.tables import SUFFIXES, records_of, write_table
 from jaxurban.io.zone import Zone
 from jaxurban.knowledge import Caution, caution_of_guesses
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.public import listed
 from jaxurban.settings import time_said
 
 State = Literal["clean", "findings", "not-judged"]
@@ -46,12 +47,12 @@ class MissionCheck(Result):
       findings: a row each: ``kind`` (``"building"``, ``"terrain"``, ``"zone"``, ``"closed"`` or ``"limit"``), ``what``,
         ``item`` (in the file, flown toward), ``lon`` and ``lat`` of the first contact, ``along_m`` and ``to_m`` along
         the mission, ``height_m`` above the ground there, ``building_m`` (the roof's height), ``by_m`` (metres inside,
-        below the ground or short of the clearance; of a limit, beyond it) ``is_guessed``; ``clear_m`` (the height above
-        the ground that clears it, up to the ceiling) and ``aside_m`` (how far to go to the right, or to the left where
-        it is negative), NaN where none is known; ``to_item``, toward which the end of that stretch is flown: if it is
-        another one than ``item``, the corners between these are moved with their legs; ``autopilot``, the only one that
-        meets it (``""``: all that it is judged for). A limit, for which no way out is looked for, is placed where the
-        fix is first and last lost, or at the densest kilometre.
+        below the ground or the GPS floor, or short of the clearance; of a limit, beyond it) ``is_guessed``; ``clear_m``
+        (the height above the ground that clears it, up to the ceiling) and ``aside_m`` (how far to go to the right, or
+        to the left where it is negative), NaN where none is known; ``to_item``, toward which the end of that stretch is
+        flown: if it is another one than ``item``, the corners between these are moved with their legs; ``autopilot``,
+        the only one that meets it (``""``: all that it is judged for). A limit, for which no way out is looked for, is
+        placed where the fix is first and last lost, or at the densest kilometre.
       not_judged: sentences, of stretches with the place at which the first begins.
       figures: lengths, metres without a fix, people, and clearances by cells, as in the report of a route.
       outlines: ``"exact outlines"``, or ``"by cells"``, with the reason.
@@ -139,6 +140,10 @@ class MissionCheck(Result):
                 parts.append(f"not known on {unknown_m:,} m")
             texts[name] = "; ".join(parts)
         numbers = {}
+        num_more = len(self.maps.times) - len(by_time)
+        if by_time and num_more > 0:
+            times = listed([*map(time_said, by_time)])
+            numbers["time"] = f"{times}; the maps hold {num_more} more, not judged (time, --time)"
         for name, words in NUMBERS.items():
             with suppress(KeyError):
                 numbers[name] = words.format_map(texts)
@@ -290,7 +295,8 @@ def _sentence_of(row: Mapping[Any, Any]) -> str:
     """Return a finding, a row of `MissionCheck.findings`, as a sentence."""
     sentence = flown_by(row["autopilot"], f"{row['what'][:1].upper()}{row['what'][1:]}")
     worst = "above all " if row["kind"] == "limit" else ""
-    where = f"{worst}from {row['along_m']:.0f} to {row['to_m']:.0f} m along the mission, toward item {row['item']:.0f}"
+    span = f"from {row['along_m']:z.0f} to {row['to_m']:z.0f} m"
+    where = f"{worst}{span} along the mission, toward item {row['item']:.0f}"
     place = f"{row['lon']:.6f}, {row['lat']:.6f}"
     if not math.isnan(row["height_m"]):
         place += f", {row['height_m']:.1f} m above the ground"

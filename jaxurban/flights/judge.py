@@ -36,6 +36,8 @@ LIKELY_ROOFS = (
     "lie over roofs of guessed height, or nearer to them than the clearance, above what 99 % of their kind keep below, "
     "and not above the highest: what is there ({kind}) {reach}"
 )
+BELOW_FLOOR = "flies below the GPS floor, which reaches {:.1f} m above the ground there"
+NO_FLOOR = "flies below the GPS floor, as GPS is good at no height there"
 SPAN = ["from_m", "to_m"]
 ASIDE_M = np.array(sorted(range(-100, 101), key=abs))  # to the right; to the left below 0
 REMEDY = ["clear_m", "aside_m", "to_item"]
@@ -52,12 +54,12 @@ def judged(
     times: Sequence[str | None],
     time_of_day: str | None,
     ceiling_m: int = 0,
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return two tables of a mission: what it meets, and what of it cannot be judged.
+) -> tuple[pd.DataFrame, pd.DataFrame, list[str]]:
+    """Return two tables of a mission, what it meets and what of it cannot be judged, and what clears whole legs.
 
     The first has a row for each finding, with the columns `COLUMNS`, in the order of travel. The
     second has a row for each stretch, with the columns of ``flight.unknown``: ``kind``, ``reason``, and ``from_m`` and
-    ``to_m`` along it.
+    ``to_m`` along it. The sentences are on the legs with several findings (`_legs_of`).
 
     Args:
       flight: the mission over the maps.
@@ -69,7 +71,8 @@ def judged(
     """
     ground = flight.ground
     maps = ground.maps
-    tables, unknown = [], [flight.unknown, *_at_corners(flight, buildings, limits)]
+    tables, legs = [], []
+    unknown = [flight.unknown, *_at_corners(flight, buildings, limits)]
     for way in (flight.steps, flight.variants):
         # What cannot be judged: steps without data, beyond what is known, near roofs of guessed height, or nearer to
         # what they clear than the ground is known.
@@ -86,15 +89,48 @@ def judged(
         unknown += _guessed(near, buildings)
 
         # What the other steps meet.
+        floor_m = _floors_m(steps, maps, limits, times)
         findings = [
             *_buildings(near, buildings, limits),
             _buried(steps),
             _zones(steps, ground, limits.zones, ceiling_m),
-            *_closed(steps, maps, limits, times, time_of_day),
+            *_closed(steps, floor_m, maps, limits, times, time_of_day),
         ]
         found = placed(pd.concat(findings, ignore_index=True), flight, steps)
-        tables.append(_cleared(found, flight, steps, buildings, known, limits, ceiling_m))
-    return _with_variants(*tables), pd.concat(unknown, ignore_index=True)
+        rest = (flight, steps, floor_m, buildings, known, limits, ceiling_m)
+        tables.append(_cleared(found, *rest))
+        whole = _cleared(_legs_of(found, flight, steps), *rest)
+        legs += [_leg_said(row, ceiling_m) for row in whole.itertuples()]
+    return _with_variants(*tables), pd.concat(unknown, ignore_index=True), [*dict.fromkeys(legs)]
+
+
+def _legs_of(found: pd.DataFrame, flight: Flight, steps: Steps) -> pd.DataFrame:
+    """Return a row for each leg with several findings: its ``kind``, ``"leg"``, its item, ``along_m`` and ``to_m``.
+
+    Legs with a closed cell of a bound are left out, as no height is known to open it, and so are take-off and landing.
+    """
+    ends = pd.DataFrame({"along_m": steps.along_m[:, 0], "to_m": steps.along_m[:, 1]})
+    ends = ends.groupby(steps.leg).agg({"along_m": "min", "to_m": "max"})
+    ends = ends.drop(np.unique(steps.leg[flight.is_on_site(steps)]))
+    begins_m, ends_m = ends.to_numpy()[:, :, None].transpose(1, 0, 2)
+    meets = (found["along_m"].to_numpy() < ends_m) & (found["to_m"].to_numpy() > begins_m)
+    is_bound = _is_of_bound(found).to_numpy()
+    ends = ends[(meets.sum(axis=1) > 1) & ~meets[:, is_bound].any(axis=1)]
+    items = [flight.mission.legs[leg].item for leg in ends.index]
+    return ends.assign(kind="leg", item=items, by_m=np.nan)
+
+
+def _leg_said(leg: Any, ceiling_m: int) -> str:
+    """Return what clears a leg, a row of `_legs_of` with what clears it (`_cleared`), in a sentence."""
+    height = f"no height up to {ceiling_m} m above the ground is known to clear"
+    if leg.clear_m <= ceiling_m:
+        height = f"{leg.clear_m:.0f} m above the ground clears"
+    return f"Leg to item {leg.item:.0f}: {height} all that is judged of it."
+
+
+def _is_of_bound(found: pd.DataFrame) -> pd.Series:
+    """Return whether each finding is a closed cell that no height is known to open: of a bound, or no GPS floor."""
+    return (found["kind"] == "closed") & found["by_m"].isna()
 
 
 def placed(table: pd.DataFrame, flight: Flight, steps: Steps) -> pd.DataFrame:
@@ -138,6 +174,7 @@ def _cleared(
     findings: pd.DataFrame,
     flight: Flight,
     steps: Steps,
+    floor_m: np.ndarray,
     buildings: Prisms,
     known: shapely.Geometry,
     limits: Constraints,
@@ -145,12 +182,14 @@ def _cleared(
 ) -> pd.DataFrame:
     """Return findings with what clears each of buildings, the ground and zones by the clearances (`least_clear`).
 
-    Zones that end above the ceiling count at all heights. Cells that bounds close do not count.
+    Zones that end above the ceiling count at all heights. Cells that bounds close do not count. A height also reaches
+    the GPS floor, where it is asked for.
 
     Args:
       findings: of some steps of the mission.
       flight: the mission over the maps.
       steps: the steps.
+      floor_m: the GPS floor below each (`_floors_m`).
       buildings: what stands there.
       known: the area in which all buildings are known, in the maps' CRS.
       limits: the clearances, and the zones in force.
@@ -171,19 +210,23 @@ def _cleared(
     low = [values[is_low] for values in zones]
     buildings = Prisms(*map(np.concatenate, zip(buildings, low, strict=True)))
     remedies = []
-    for row in findings.to_dict("records"):
-        is_there = (steps.along_m >= row["along_m"]) & (steps.along_m <= row["to_m"])
-        part = steps.take(is_there.all(axis=1))
+    of_bounds = _is_of_bound(findings)
+    for row, is_of_bound in zip(findings.to_dict("records"), of_bounds, strict=True):
+        is_there = ((steps.along_m >= row["along_m"]) & (steps.along_m <= row["to_m"])).all(axis=1)
+        part = steps.take(is_there)
         line = shapely.simplify(shapely.linestrings(part.ends_m.reshape(-1, 2)), TOUCH_M)
-        if row["kind"] == "closed" or flight.is_on_site(part).any():
+        if is_of_bound or flight.is_on_site(part).any():
             line = None
-        ways = shapely.offset_curve(line, -ASIDE_M, join_style="mitre")
+        asides_m = ASIDE_M[:1] if row["kind"] in ("closed", "leg") else ASIDE_M
+        ways = shapely.offset_curve(line, -asides_m, join_style="mitre")
         least_m = least_clear(ways, buildings, ground, known, limits)
-        clear_m = np.ceil(max(least_m[0] - part.ground_m.min(), limits.vertical_m))
+        fix_m = (part.ground_m.max(axis=1) + floor_m[is_there]).max()
+        clear_m = np.ceil(max(least_m[0], fix_m) - part.ground_m.min())
+        clear_m = max(clear_m, np.ceil(limits.vertical_m))
         own_m = (part.ground_m + part.z_m).min()
-        aside_m = ASIDE_M[np.maximum(least_m, ground.highest_m.max()) <= own_m]
+        aside_m = asides_m[np.maximum(least_m, ground.highest_m.max()) <= own_m]
         clear_m = clear_m if clear_m <= ceiling_m else np.nan
-        aside = [*aside_m[:1], np.nan][0]
+        aside = [*aside_m[:1], np.nan][0] or np.nan
         remedies.append([clear_m, aside, flight.mission.legs[part.leg[-1]].item])
     return findings.assign(**pd.DataFrame(remedies, findings.index, REMEDY))
 
@@ -314,8 +357,19 @@ def _buried(steps: Steps) -> pd.DataFrame:
     return stretches.assign(kind="terrain", what=texts, by_m=-stretches["gap_m"])
 
 
+def _floors_m(
+    steps: Steps, maps: MetricMaps, limits: Constraints, times: Sequence[str | None]
+) -> np.ndarray:
+    """Return ``[P]`` the GPS floor below each step, the highest of the times; 0 where it is not asked for."""
+    if not limits.above_gps_floor:
+        return np.zeros(len(steps.leg))
+    floors_m = [gps_floor_m(maps, time)[tuple(steps.cell.T)] for time in times]
+    return np.max(floors_m, axis=0)
+
+
 def _closed(
     steps: Steps,
+    floor_m: np.ndarray,
     maps: MetricMaps,
     limits: Constraints,
     times: Sequence[str | None],
@@ -329,6 +383,7 @@ def _closed(
 
     Args:
       steps: of the mission.
+      floor_m: the GPS floor below each (`_floors_m`).
       maps: on which the bounds are.
       limits: whose bounds count.
       times, time_of_day: of the maps; a bound must be kept at each of the times.
@@ -359,10 +414,14 @@ def _closed(
     # The GPS floor is exact in height, and so is the mission, but for what files round.
     if limits.above_gps_floor:
         lowest_m = np.where(is_on_level, nearest_m, steps.z_m.min(axis=1)) + FILE_MARGIN_M
-        floors_m = [gps_floor_m(maps, time)[tuple(steps.cell.T)] for time in times]
-        is_below = ~(np.max(floors_m, axis=0) <= lowest_m)
-        stretches = merged(steps.table(np.flatnonzero(is_below)))
-        yield stretches.assign(kind="closed", what="flies below the GPS floor")
+        below = np.flatnonzero(~(floor_m <= lowest_m))
+        stretches = steps.table(below, gap_m=-floor_m[below], apart_m=lowest_m[below])
+        for is_there, rows in stretches.groupby(np.isfinite(stretches["gap_m"])):
+            rows = merged(rows)
+            words = BELOW_FLOOR if is_there else NO_FLOOR
+            what = [words.format(-gap_m) for gap_m in rows["gap_m"]]
+            by_m = -rows["gap_m"] - rows["apart_m"] if is_there else np.nan
+            yield rows.assign(kind="closed", what=what, by_m=by_m)
 
 
 def _buildings(near: pd.DataFrame, buildings: Prisms, limits: Constraints) -> list[pd.DataFrame]:

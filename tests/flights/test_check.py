@@ -774,6 +774,9 @@ def test_figures_are_in_words_and_their_keys_stay(lost_scene):
     assert "not known" not in unsure["people overflown"]
     assert result.facts["length"] == "600 m, 600 m of it over the maps at a known height"
     assert all("_" not in line for line in result.lines if "return: " not in line)
+    one = checked(lost_scene, mission_of(*ends, home=ends[0]))
+    assert one.facts["time"].startswith("2020-04-27 16:00 UTC; the maps hold ")
+    assert "time" not in result.facts or len(lost_scene.maps.times) > 2
     by_time = result.to_dict()["figures"]["no_fix_by_time_m"]
     assert by_time == {ON: pytest.approx(70, abs=1), OFF: pytest.approx(10, abs=1)}
     no_gps = replace(lost_scene.maps, ds=lost_scene.maps.ds.drop_vars("hdop"))

@@ -69,6 +69,58 @@ def test_a_tower_is_cleared_over_its_roof_or_past_its_nearer_wall(x_m, right_m):
     assert result.to_dict()["findings"][0]["clear_m"] == 93.0
 
 
+def test_of_a_leg_with_several_findings_a_note_says_what_clears_all_of_it():
+    maps, city = tower()
+    lower = replace(
+        city.buildings,
+        polygons=np.array([shapely.affinity.translate(city.buildings.polygons[0], 0.0, 60.0)]),
+        height_m=np.array([80.0]),
+    )
+    both = replace(city, buildings=city.buildings.joined(lower))
+    ends = place(maps, 305, 200, 60), place(maps, 305, 450, 60)
+    assert flown(maps, city, *ends).notes == ()
+    result = flown(maps, both, *ends)
+    note = "Leg to item 1: 93 m above the ground clears all that is judged of it."
+    assert (len(result.findings), result.notes) == (2, (note,))
+    assert f"  note: {note}" in result.lines
+    high = [each._replace(height_m=93.0) for each in ends]
+    assert flown(maps, both, *high).findings.empty
+    (note,) = flown(maps, both, *ends, ceiling_m=92).notes
+    assert note.startswith("Leg to item 1: no height up to 92 m above the ground is known to clear")
+    of_bound = ju.Constraints.read(require="density<=0")  # no height is known to open its cells
+    result = flown(maps, both, *ends, constraints=of_bound)
+    assert ("closed" in set(result.findings["kind"]), result.notes) == (True, ())
+
+
+def test_legs_above_what_most_countries_allow_are_named_once():
+    maps, city = tower()
+    for height_m, is_high in ((120.0, False), (200.0, True)):
+        ends = place(maps, 100, 200, height_m), place(maps, 100, 400, height_m)
+        result = flown(maps, city, *ends, place(maps, 150, 400, height_m))
+        said = [note for note in result.notes if "over the 120 m that most countries" in note]
+        assert (len(said), len(result.findings)) == (int(is_high), 0)
+        assert not said or said[0].startswith("Legs reach 200 m above the ground")
+
+
+def test_a_home_inside_a_building_is_named_with_what_to_give_and_the_nearest_free_place():
+    maps, city = tower()
+    names = ["roof", "roof_touched"]
+    roofs = maps.ds[names].copy(deep=True)
+    for name in names:
+        roofs[name][{"y": slice(28, 32), "x": slice(28, 32)}] = TOP_M
+    maps = replace(maps, ds=maps.ds.assign(roofs))
+    ground = place(maps, 310, 300, 0)
+    climb = Leg(ground, ground._replace(height_m=150.0), "climb", 1)
+    mission = Mission("made", (climb,), ground[:2], None, (), None)
+    (note,) = (text for text in ju.check(maps, mission, sources=city).notes if "Home" in text)
+    assert note.startswith("Home is inside a building of 90.0 m: if it is on the roof, name its")
+    named = note.partition("--home ")[2].split()[0].split(",")
+    xy_m = np.array(maps.grid.xy_of_lonlat(*map(float, named)))
+    assert city.buildings.polygons[0].distance(shapely.Point(xy_m)) == pytest.approx(5.0, abs=0.1)
+    on_roof = ju.check(maps, mission, sources=city, home_above_ground_m=90.0)
+    assert not any("Home" in text for text in on_roof.notes)
+
+
 def test_no_height_above_the_ceiling_is_named():
     maps, city = tower()
     ends = place(maps, 305, 200, 60), place(maps, 305, 400, 60)

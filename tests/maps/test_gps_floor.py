@@ -1,5 +1,6 @@
 """The GPS floor in whole maps: what the maps below and above it say, a series, roofs, and where it is refused."""
 
+import re
 from dataclasses import replace
 
 import jax
@@ -219,8 +220,17 @@ def test_routes_stay_above_it_and_reports_and_checks_say_where_they_do_not(two_a
     assert "below floor m" in below.table()
     assert ju.check(maps, kept).limits["above_gps_floor"]
     findings = ju.check(maps, plain, constraints=limits).findings
-    assert "flies below the GPS floor" in set(findings["what"])
-    assert "flies below the GPS floor" not in set(ju.check(maps, kept).findings["what"])
+    below = findings[findings["what"].str.startswith("flies below the GPS floor")]
+    assert len(below)
+    assert not any("GPS floor" in what for what in ju.check(maps, kept).findings["what"])
+    for row in below[below["clear_m"].notna()].to_dict(
+        "records"
+    ):  # how high it is, and what clears it
+        metres = float(re.search(r"reaches (\S+) m above", row["what"])[1])
+        assert 12 < metres <= row["clear_m"] + 0.05
+        assert row["by_m"] == pytest.approx(metres - 12, abs=0.1)
+    assert below["clear_m"].notna().any()
+    assert below["aside_m"].isna().all()
 
     # Between levels a route may climb over the floor instead.
     levels = ju.Levels()

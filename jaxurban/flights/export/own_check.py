@@ -58,7 +58,7 @@ def check_own(route: PlannedPath, data: bytes) -> str:
     first = findings.iloc[0]
     raise InputError(
         f"the mission is not written, as its own check ({way}) finds that it {first['what']}, from "
-        f"{first['along_m']:.0f} to {first['to_m']:.0f} m along it: {REMEDY}"
+        f"{first['along_m']:z.0f} to {first['to_m']:z.0f} m along it: {REMEDY}"
     )
 
 
@@ -74,7 +74,7 @@ def _findings(route: PlannedPath, maps: MetricMaps, data: bytes, city: City | No
     buildings = buildings_of(maps, city)
     limits = constraints_of(route)
     limits = replace(limits, zones=(*limits.zones, *mission.zones))
-    findings, unknown = judged(flight, buildings, known, limits, times, time_of_day)
+    findings, unknown, _ = judged(flight, buildings, known, limits, times, time_of_day)
     is_guess = unknown["kind"] == "roof"
     site_m = flight.steps.along_m[flight.is_on_site(flight.steps)]
     rows = unknown[is_guess].rename(columns={"from_m": "along_m"}).assign(what=UNSURE)
