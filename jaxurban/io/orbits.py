@@ -320,6 +320,11 @@ def look_angles(
         t, s = np.argwhere(age_days == oldest_days)[0]
         age = f"the elements of {names[s]} in {orbits.sources[s]} are {oldest_days:.0f} days away from {iso[t]}"
         remedy = f'use elements of that date (CelesTrak, Space-Track) or orbits = "{NOMINAL}"'
+        if names[s].endswith(MARK):  # of a file that was written for one day
+            remedy = (
+                "name a file of elements of that date (CelesTrak, Space-Track) in [gps] orbits, or leave the time out "
+                "where the maps have one"
+            )
         if oldest_days > max_age_days:
             raise InputError(f"{age}, more than max_age_days = {max_age_days:g}: {remedy}")
         warn(f"{age}, so its place is uncertain: {remedy}", StaleElementsWarning)

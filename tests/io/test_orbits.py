@@ -13,6 +13,7 @@ from sgp4.exporter import export_omm, export_tle
 from skyfield.api import EarthSatellite, load, wgs84
 from skyfield.framelib import itrs
 
+import jaxurban as ju
 from benchmarks.make_samples import GALILEO
 from jaxurban.errors import InputError, StaleElementsWarning
 from jaxurban.io.nominal import GPS, nominal_satellites
@@ -120,6 +121,12 @@ def test_elements_warn_after_14_days_and_are_refused_after_max_age(tmp_path):
             InputError, match=r"PRN 32.* days away from .* more than max_age_days = .*nominal"
         ):
             sky_of(source, TIME, time, max_age_days=limit)
+
+
+def test_nominal_elements_of_a_file_that_are_too_old_are_not_answered_with_nominal_ones():
+    with pytest.raises(InputError, match=r"\(nominal\) .* name a file of elements") as refused:
+        ju.sky(ju.sample_city("lower-manhattan"), (-74.01, 40.71), 60.0, time="2026-12-01")
+    assert 'orbits = "nominal"' not in str(refused.value)
 
 
 def earth_fixed(time, constellation=GPS):
