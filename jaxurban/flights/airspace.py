@@ -172,7 +172,8 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
             warn(what, IgnoredZoneWarning)
     if all(zone.state != "closed" for zone in zones):
         raise InputError(
-            f"the {ROLE} file {str(path)!r} holds no polygons that restrict flights: give another file"
+            f"the {ROLE} file {str(path)!r} holds no polygons that restrict flights: draw a polygon around what "
+            "is closed, or leave the file out"
         )
     return tuple(zones)
 

@@ -297,7 +297,7 @@ FORMS = {
     "ED-318: empty collection": ed318(
         {"type": "GeometryCollection", "geometries": []}, "'B' of .*it has no volume"
     ),
-    "points alone": Form(".geojson", json.dumps(feature(POINT)), "holds no polygons"),
+    "points alone": Form(".geojson", json.dumps(feature(POINT)), "draw a polygon around what is"),
 }
 READ = {name: form for name, form in FORMS.items() if isinstance(form.states, dict)}
 REFUSED = FORMS.keys() - READ.keys()
