@@ -119,7 +119,9 @@ def sky_command(
         print_json(facts | finite_records(tables))
         return
     for table in tables.values():
-        text = table.drop(columns=NOT_PRINTED, errors="ignore").to_string(
+        table = table.drop(columns=NOT_PRINTED, errors="ignore")
+        rounded = {name: 2 for name in table if {"lon", "lat"}.isdisjoint(name.split("_"))}
+        text = table.round(rounded).to_string(
             index=False, max_rows=MOST_ROWS, na_rep="", float_format="{:.8g}".format
         )
         print(f"{text}\n")

@@ -1,6 +1,7 @@
 """``jaxurban sky``: a place or a track in, a table, DOPs, files and a picture out."""
 
 import json
+import re
 import shutil
 from functools import reduce
 from operator import xor
@@ -42,6 +43,7 @@ def test_a_place_is_printed_and_written(maps, tmp_path, capsys):
     assert "jaxurban: Guessed: " in err
     assert files[0].read_bytes().startswith(b"\x89PNG")
     table = pd.read_csv(files[1])
+    assert re.search(rf"\s{table['azimuth_deg'][0]:.2f}\s", out)  # and no more digits
     assert {*table["state"]} <= {"seen", "hidden", "unknown"}
     code, out, _ = run(capsys, "sky", maps, *AT, "--time", WHEN, "--json")
     facts = json.loads(out)
