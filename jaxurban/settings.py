@@ -46,6 +46,7 @@ HeuristicName = Literal[
     "plus-printed-from-0",
 ]
 MissionEnd = Literal["land", "return", "none"]
+FlownBy = Literal["ardupilot", "px4"]  # what a mission's file may leave open
 Backend = Literal["auto", "numba", "jax"]  # what searches
 OnGround = bool | Literal["goal"]  # which ends of a path must be free down to the ground
 SampleName = Literal["lower-manhattan", "shinjuku", "nihonbashi"]

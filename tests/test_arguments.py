@@ -488,6 +488,7 @@ TABLE: dict[str, dict[str, Any]] = {
     "PlannedPath.save": {
         "report": Case(lambda: ju.explain(on.path(), on.maps()), {"suffix": ".geojson"}),
         "end": "return",
+        "autopilot": "ardupilot",
     },
     "Planning": {
         "preset": "paper",

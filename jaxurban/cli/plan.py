@@ -11,7 +11,7 @@ from jaxurban.errors import InputError
 from jaxurban.exit_codes import ExitCode
 from jaxurban.paths.suffixes import FLOWN, MISSION, check_picture, check_route_file
 from jaxurban.progress import LOG
-from jaxurban.settings import Backend, MissionEnd
+from jaxurban.settings import Backend, FlownBy, MissionEnd
 from jaxurban.terminal.common import (
     DEVICE,
     FILES,
@@ -102,9 +102,11 @@ class MissionFile(TypedDict):
 
     Attributes:
       end: how the mission ends: land (the default), return or none.
+      autopilot: which one it is for: px4 (the default) or ardupilot.
     """
 
     end: MissionEnd
+    autopilot: FlownBy
 
 
 def exposure_of(

@@ -21,7 +21,7 @@ from jaxurban.flights.item_returns import by_item, departures_of, return_lines
 from jaxurban.flights.judge import SPAN, below_home, judged, placed, unjudged_stretches
 from jaxurban.flights.legs import Flight, flight_of
 from jaxurban.flights.missions.mission import read_mission
-from jaxurban.flights.missions.parts import Datum, FlownBy, Leg, LonLat, Mission, Place
+from jaxurban.flights.missions.parts import Datum, Leg, LonLat, Mission, Place
 from jaxurban.io.city import City
 from jaxurban.io.zone import check_reach, unknown_cautions
 from jaxurban.kernels.tolerances import FILE_MARGIN_M, GROUND_TOLERANCE_M
@@ -35,7 +35,7 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.elevation import Elevation
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import rules_on
-from jaxurban.settings import Vehicle, as_tuple, iso_utc, not_negative, parse_time
+from jaxurban.settings import FlownBy, Vehicle, as_tuple, iso_utc, not_negative, parse_time
 
 MOST_HOME_OFF_M = 20.0  # by which elevation models of a place may differ
 CHANGED = "The files that the maps were made of have changed since: what stands now is not judged."

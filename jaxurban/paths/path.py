@@ -20,7 +20,7 @@ from jaxurban.paths.route_report import RouteReport
 from jaxurban.pictures import MapForm
 from jaxurban.planners.base import Path, Status
 from jaxurban.public import FactsRepr
-from jaxurban.settings import MissionEnd
+from jaxurban.settings import FlownBy, MissionEnd
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -122,6 +122,7 @@ class PlannedPath(FactsRepr):
         *more: str | FilePath,
         report: RouteReport | None = None,
         end: MissionEnd | None = None,
+        autopilot: FlownBy | None = None,
     ) -> FilePath:
         """Write the path in the format that a file's suffix names, and return the (first) file.
 
@@ -130,14 +131,15 @@ class PlannedPath(FactsRepr):
           more: further files, for further formats.
           report: from `jaxurban.explain`, to be written too.
           end: how a mission in a ``.plan`` ends: ``"land"``, ``"return"`` or ``"none"`` (see `write_path`).
+          autopilot: which one a ``.plan`` is for: ``"px4"`` if left out, or ``"ardupilot"``.
 
         Returns:
           The first file as a `pathlib.Path`.
 
         Raises:
-          InputError: there is no path, another suffix, an unknown end, one without a ``.plan``, a ``.plan`` that takes
-            off or lands through a roof or meets anything else (the other files are written), or a folder that does not
-            exist or cannot be written to.
+          InputError: there is no path, another suffix, an unknown end or autopilot, one without a ``.plan``, a
+            ``.plan`` that takes off or lands through a roof or meets anything else (the other files are written), or a
+            folder that does not exist or cannot be written to.
 
         Examples:
           >>> path.save("route.geojson", "route.kml").name
@@ -150,7 +152,7 @@ class PlannedPath(FactsRepr):
             raise InputError(f"there is no path to save: {self.status.sentence}")
         files = [FilePath(path) for path in (file, *more)]
         write = resolve_name("jaxurban.flights.export.write:write_files")
-        write(self, files, report, end=end)
+        write(self, files, report, end=end, autopilot=autopilot)
         return files[0]
 
     def explain(self, maps: MapsLike | None = None, **options: Any) -> RouteReport:

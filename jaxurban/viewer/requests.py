@@ -5,8 +5,8 @@ from typing import Annotated, Any
 from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, ValidationError
 
 from jaxurban.errors import InputError
-from jaxurban.flights.missions.parts import Datum, FlownBy
-from jaxurban.settings import DEFAULTS, Rules, UnknownHeights
+from jaxurban.flights.missions.parts import Datum
+from jaxurban.settings import DEFAULTS, FlownBy, Rules, UnknownHeights
 
 MOST_LETTERS = 64 * 1024  # of zones
 Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]

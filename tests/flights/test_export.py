@@ -13,8 +13,11 @@ from scipy.interpolate import RegularGridInterpolator
 
 from benchmarks.random_routes import READERS
 from jaxurban.cli.plan import plan_command
+from jaxurban.errors import InputError
 from jaxurban.flights.export.qgc_plan import height_note
 from jaxurban.flights.export.write import FORMATS, write_path
+from jaxurban.flights.missions.mission import read_mission
+from jaxurban.flights.missions.parts import AUTOPILOTS
 from jaxurban.io.zone import Zone
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.ground import elevation_at, ground_along
@@ -229,6 +232,25 @@ def test_what_mavsdk_reads_is_the_path_in_place_and_in_height(over_hill, reader,
             assert home_m == 0.0
             assert np.abs(missed_m).max() < 0.3
     assert num_added > 50 or not over_hill
+
+
+def test_a_plan_for_ardupilot_has_the_items_of_one_for_px4_and_is_read_as_its_own(route, tmp_path):
+    files = {name: tmp_path / f"{name}.plan" for name in ("px4", "ardupilot")}
+    plans = {}
+    for name, file in files.items():
+        assert write_path(route, file, autopilot=name)
+        plans[name] = plan_in(file)
+        assert read_mission(file, autopilot=name).autopilot == name
+        assert f"for {AUTOPILOTS[name]}." in plans[name]["note"]
+    firmwares = {name: plan["mission"].pop("firmwareType") for name, plan in plans.items()}
+    assert firmwares == {"px4": 12, "ardupilot": 3}
+    assert plans["px4"]["mission"] == plans["ardupilot"]["mission"]
+    assert write_path(route, files["px4"])  # left out
+    assert plan_in(files["px4"])["mission"]["firmwareType"] == 12
+    with pytest.raises(InputError, match=r"autopilot must be .* got 'inav'"):
+        write_path(route, files["px4"], autopilot="inav")
+    with pytest.raises(InputError, match="leave end and autopilot out"):
+        write_path(route, tmp_path / "path.kml", autopilot="px4")
 
 
 def test_only_ground_that_bends_adds_waypoints(tmp_path):

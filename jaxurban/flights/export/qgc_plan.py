@@ -25,14 +25,17 @@ from jaxurban.flights.export.base import (
 from jaxurban.flights.export.fences import exclusions
 from jaxurban.flights.export.own_check import check_own
 from jaxurban.flights.missions.flight import LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
+from jaxurban.flights.missions.items import FIRMWARES
+from jaxurban.flights.missions.parts import AUTOPILOTS
 from jaxurban.kernels.tolerances import GROUND_TOLERANCE_M
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import RouteReport
-from jaxurban.settings import MissionEnd
+from jaxurban.settings import FlownBy, MissionEnd
 
 # MAVLink common message set, and the values that QGroundControl's plan format takes from it
 MAV_FRAME_MISSION, MAV_FRAME_GLOBAL_RELATIVE_ALT = 2, 3
-MAV_AUTOPILOT_PX4, MAV_TYPE_QUADROTOR = 12, 2
+MAV_TYPE_QUADROTOR = 2
+FIRMWARE_TYPES = {name: number for number, name in FIRMWARES.items()}
 ALTITUDE_RELATIVE = 1
 GROUND_SPEED, THROTTLE_AS_IT_IS = 1, -1
 
@@ -59,19 +62,26 @@ def height_note(route: PlannedPath) -> str:
     )
 
 
-def mission_note(route: PlannedPath, end: MissionEnd = "land") -> str:
-    """Return what to know of a ``.plan``: its altitudes, its end and its geofence, in a few sentences."""
+def mission_note(route: PlannedPath, end: MissionEnd = "land", autopilot: FlownBy = "px4") -> str:
+    """Return what to know of a ``.plan``: its autopilot, altitudes, end and geofence, in a few sentences."""
     _, zone_note = exclusions(route)
-    return f"{height_note(route)} {END_NOTES[end]} {zone_note}".rstrip()
+    flown_by = f"It is a mission for {AUTOPILOTS[autopilot]}."
+    return f"{flown_by} {height_note(route)} {END_NOTES[end]} {zone_note}".rstrip()
 
 
-def to_qgc_plan(routes: Named, report: RouteReport | None, end: MissionEnd = "land") -> bytes:
+def to_qgc_plan(
+    routes: Named,
+    report: RouteReport | None,
+    end: MissionEnd = "land",
+    autopilot: FlownBy = "px4",
+) -> bytes:
     """Return a path as a mission of QGroundControl, JSON in UTF-8, if its own check finds nothing (`check_own`).
 
     Args:
       routes: one path with its name, which the format has no place for.
       report: of the path, whose speed the mission takes; without one, the speed of the path's vehicle, if it has any.
       end: how the mission ends, one of `ENDS`.
+      autopilot: which one flies it. The items are the same, as both know them; each is judged as it flies them.
 
     Raises:
       InputError: several paths, or findings of the check.
@@ -92,11 +102,11 @@ def to_qgc_plan(routes: Named, report: RouteReport | None, end: MissionEnd = "la
         "version": 1,
         "groundStation": "QGroundControl",
         # No key of the format: readers leave it alone.
-        "note": description_of(facts, mission_note(route, end)),
+        "note": description_of(facts, mission_note(route, end, autopilot)),
         "settings": facts["settings"],  # nor is this: what the path was planned under
         "mission": {
             "version": 2,
-            "firmwareType": MAV_AUTOPILOT_PX4,
+            "firmwareType": FIRMWARE_TYPES[autopilot],
             "vehicleType": MAV_TYPE_QUADROTOR,
             "globalPlanAltitudeMode": ALTITUDE_RELATIVE,
             "cruiseSpeed": speed_m_s or 15,  # m/s; else QGroundControl's defaults

@@ -44,11 +44,12 @@ from jaxurban.flights.export.base import (
     waypoints,
 )
 from jaxurban.flights.export.qgc_plan import END_NOTES, to_qgc_plan
+from jaxurban.flights.missions.parts import BOTH
 from jaxurban.io.files import write_whole
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.route_report import RouteReport
 from jaxurban.paths.suffixes import MISSION, check_route_file
-from jaxurban.settings import MissionEnd
+from jaxurban.settings import FlownBy, MissionEnd
 
 GROUND_REFERENCE = (
     "ground_m is in metres above the zero of the terrain file, whatever its vertical datum is"
@@ -172,10 +173,11 @@ def write_files(
     report: RouteReport | None,
     *,
     end: MissionEnd | None,
+    autopilot: FlownBy | None,
 ) -> None:
     """Write a path to files of any formats (`PlannedPath.save`, which says what is taken and refused)."""
     missions = [file for file in files if file.suffix.lower() == MISSION]
-    if not missions and end is not None:
+    if not missions and (end is not None or autopilot is not None):
         check_is_mission(files[0])  # raises InputError, as no file is a mission
     for file in files:
         encoder_of(file)  # raises InputError, before any is written
@@ -187,7 +189,7 @@ def write_files(
             write_path(route, file, report)
     # Missions come last, since they may be refused.
     for file in missions:
-        write_path(route, file, report, end=end)
+        write_path(route, file, report, end=end, autopilot=autopilot)
 
 
 def write_path(
@@ -197,6 +199,7 @@ def write_path(
     *,
     names: Sequence[str] = ("",),
     end: MissionEnd | None = None,
+    autopilot: FlownBy | None = None,
 ) -> bool:
     """Write paths in the format that the file's suffix names; return False, writing nothing, if there is no path.
 
@@ -210,17 +213,20 @@ def write_path(
       names: of several paths, one for each.
       end: how the mission in a ``.plan`` ends: ``"land"`` at the goal (so also if it is left out), ``"return"`` to
         launch as the autopilot does it, or ``"none"``.
+      autopilot: which one a ``.plan`` is for, ``"px4"`` if left out, or ``"ardupilot"``.
 
     Raises:
-      InputError: another suffix, an end of a format without, several paths in a format of one, a ``.plan``
-        that its own check finds fault with, or a folder that does not exist or cannot be written to.
+      InputError: another suffix, an end or an autopilot of a format without, several paths in a format of one, a
+        ``.plan`` that its own check finds fault with, or a folder that does not exist or cannot be written to.
     """
     # The format.
     file = Path(file)
     encode = encoder_of(file)
-    if end is not None:
+    if end is not None or autopilot is not None:
         check_is_mission(file)
-        encode = partial(to_qgc_plan, end=one_of("end", end, END_NOTES))
+        ending: MissionEnd = "land" if end is None else one_of("end", end, END_NOTES)
+        flyer: FlownBy = "px4" if autopilot is None else one_of("autopilot", autopilot, BOTH)
+        encode = partial(to_qgc_plan, end=ending, autopilot=flyer)
 
     # The paths and their names.
     routes = route if isinstance(route, Sequence) else [route]
@@ -237,10 +243,11 @@ def write_path(
 
 
 def check_is_mission(file: Path) -> None:
-    """Raise InputError unless a file's format says how the flight ends."""
+    """Raise InputError unless a file's format says how the flight ends, and which autopilot flies it."""
     if file.suffix.lower() != MISSION:
         raise InputError(
-            f"only a {MISSION} says how the flight ends, and {str(file)!r} is none: leave end out"
+            f"only a {MISSION} says how the flight ends and which autopilot flies it, and {str(file)!r} is none: leave "
+            "end and autopilot out"
         )
 
 

@@ -24,7 +24,6 @@ from jaxurban.flights.missions.parts import (
     Autopilot,
     DamagedError,
     Datum,
-    FlownBy,
     LonLat,
     Mission,
     check_place,
@@ -37,6 +36,7 @@ from jaxurban.flights.missions.parts import (
     whole_of,
 )
 from jaxurban.public import listed
+from jaxurban.settings import FlownBy
 
 # FeasibilityChecker.cpp (checkHorizontalDistanceToFirstWaypoint; up to 1.13 MIS_DIST_WPS, too) and mission_base.cpp
 # (do_need_move_to_item) of PX4, and its issue 18239. ArduPilot stays, so a file with it was written for that.

@@ -58,7 +58,6 @@ from jaxurban.flights.missions.parts import (
     DATUMS,
     DamagedError,
     Datum,
-    FlownBy,
     LonLat,
     Mission,
     check_place,
@@ -68,6 +67,7 @@ from jaxurban.io.broken import BROKEN
 from jaxurban.io.files import UNPACKING
 from jaxurban.io.sniff import sniff
 from jaxurban.io.tracks import LAT, LON, UTC, track_of
+from jaxurban.settings import FlownBy
 
 # By the content (`sniff`), else by the name.
 ITEM_READERS = {

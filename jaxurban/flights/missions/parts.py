@@ -11,10 +11,10 @@ import numpy as np
 import pyproj
 
 from jaxurban.io.zone import Zone
+from jaxurban.settings import FlownBy
 
 Datum = Literal["home", "ground", "geoid", "ellipsoid"]  # what a height is above
 Profile = Literal["frame", "straight", "both"]  # how a leg runs between the heights of its ends
-FlownBy = Literal["ardupilot", "px4"]  # what a file may leave open
 Autopilot = FlownBy | Literal["inav", "dji", "unknown"]
 BOTH: tuple[FlownBy, ...] = get_args(FlownBy)
 AUTOPILOTS = {"ardupilot": "ArduPilot", "px4": "PX4", "inav": "INAV", "dji": "DJI"}
