@@ -376,6 +376,8 @@ def _write_route(
     Raises:
       InputError: files that were refused; the others are written.
     """
+    from jaxurban.flights.export.write import WAYPOINTS
+
     # Files.
     shown = report if with_report else None
     refused = []
@@ -394,9 +396,11 @@ def _write_route(
     facts = planned.to_dict()
     if planned.status.has_path:
         facts["cautions"] = planned.cautions
+        is_simplified = outputs.simplify_m is None and not outputs.suffixes.isdisjoint(WAYPOINTS)
+        whose = "the path as planned: " if is_simplified else ""
         for sentence in planned.cautions:
             if sentence.kind != "search":  # those are in the message, which is printed too
-                LOG.info(sentence)
+                LOG.info(f"{whose}{sentence}")
     if as_json and not refused:
         if report is not None:
             facts["report"] = report.to_dict()

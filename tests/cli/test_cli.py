@@ -447,7 +447,8 @@ def test_a_reader_of_stdout_that_leaves_is_no_error(arguments):
 def test_a_check_whose_reader_leaves_ends_with_the_code_of_its_verdict(
     made, tmp_path, capsys, monkeypatch, buffering
 ):
-    run(capsys, "plan", made, *AT_60_M, "--snap", "-o", tmp_path / "a.plan")
+    _, _, err = run(capsys, "plan", made, *AT_60_M, "--snap", "-o", tmp_path / "a.plan")
+    assert "jaxurban: the path as planned: " in err  # its lengths are not those of the file
     words = ["check", str(made), str(tmp_path / "a.plan"), "--limits", "max_people=0"]
     verdict, *_ = run(capsys, *words)
     assert verdict == ExitCode.FINDINGS
