@@ -137,5 +137,5 @@ def test_each_report_says_once_what_its_intervals_are(names, what):
 def test_a_picture_fills_only_a_cell_of_a_grid():
     summary = pd.DataFrame({"cut": ["all"], "value": "all", "weight_name": "gps", "regret": 0.1})
     summary = summary.assign(regret_low=0.05, regret_high=0.2)
-    with pytest.raises(ju.InputError, match="ax must be a cell of a grid of axes"):
+    with pytest.raises(ju.InputError, match="ax must be one cell of a grid of axes"):
         ju.plot.plot_regret(summary, 2.0, ax=Figure().add_axes((0, 0, 1, 1)))
