@@ -40,8 +40,8 @@ class SharedVerdict(Enum):
     TIED = "{what} cannot be told apart in {measure} ({last} over {first}: {size}, {n})"
     APART = "{what} cannot be compared in {measure}, as there are {n}"
     BORDER = (
-        "{which} within {cells} cells of the border of the maps' data, away from the ends: whether the "
-        "border made this is not decided by more routes, but by maps of wider bounds, if their source reaches so far"
+        "{which} within {cells} cells of the border of the maps' data{where}, away from the ends: whether the "
+        "border made this is not decided by more routes, but by {wider}"
     )
 
 

@@ -10,7 +10,7 @@ Student's t widens for few groups.
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
@@ -27,6 +27,12 @@ from jaxurban.world.grid import Grid
 
 FEWEST_RUNS = 10  # of a stratum of which something is said
 EDGE_CELLS = 3  # a route this near to the border of the data may be what the border made it
+SIDES = {
+    "west": (0, -1),
+    "south": (-1, 0),
+    "east": (0, 1),
+    "north": (1, 0),
+}  # steps of row and column
 USUAL_SHARE = 0.25  # is held out of a fit
 FEWEST_TO_HOLD_OUT = 16  # routes: of fewer none is held out
 MOST_APART = 32  # runs: alternatives that have none of so many in common are not compared
@@ -264,31 +270,69 @@ def is_at_edge(points_m: np.ndarray, grid: Grid, band: np.ndarray) -> bool:
     return bool(band[rows, cols].any())
 
 
-def wider_bounds(maps: MetricMaps) -> str:
+def sides_at_edge(points_m: np.ndarray, maps: MetricMaps) -> list[str]:
+    """Return the sides (`SIDES`) to which the data end within `EDGE_CELLS` of a route, away from its ends.
+
+    Args:
+      points_m: ``[N, 2]`` the route, metres from the map's southwest corner.
+      maps: of the route.
+    """
+    known = np.pad(maps.ds["has_data"].values, EDGE_CELLS)
+    sides = []
+    for side, step in SIDES.items():
+        moved = [np.roll(known, -num * np.array(step), (0, 1)) for num in range(EDGE_CELLS + 1)]
+        band = ~np.all(moved, axis=0)[EDGE_CELLS:-EDGE_CELLS, EDGE_CELLS:-EDGE_CELLS]
+        if is_at_edge(points_m, maps.grid, band):
+            sides.append(side)
+    return sides
+
+
+def ended_sides(maps: MetricMaps) -> list[str]:
+    """Return the sides (`SIDES`) on which the source of the buildings ends within `EDGE_CELLS` of the maps."""
+    reach_m = np.abs(_wider_m(maps) - np.reshape(maps.grid.bounds_m, (2, 2))).ravel()
+    is_end = reach_m <= EDGE_CELLS * maps.grid.resolution_m
+    return [side for side, ends in zip(SIDES, is_end, strict=True) if ends]
+
+
+def wider_bounds(maps: MetricMaps, sides: Collection[str] = SIDES) -> str:
     """Return bounds a quarter wider to each side, as ``--set region.bounds=`` takes them.
 
     They end where the source of the buildings does (``known_bounds_m`` of the maps), as the ground beyond is taken as
-    free. Empty where it ends within `EDGE_CELLS` of the maps on all sides.
+    free. Empty where it ends at the maps on all sides that matter (`ended_sides`).
+
+    Args:
+      maps: whose bounds are made wider.
+      sides: that matter, such as those that a route comes near to.
     """
+    if not {*sides} - {*ended_sides(maps)}:
+        return ""
+    lonlat = maps.grid.lonlat_at(_wider_m(maps)).round(5)  # to 1 m, so that no cell is lost
+    return str(lonlat.ravel().tolist())
+
+
+def _wider_m(maps: MetricMaps) -> np.ndarray:
+    """Return ``[2, 2]`` the southwest and the northeast corner of `wider_bounds`, in the grid's CRS."""
     grid = maps.grid
-    low_m, high_m = bounds_m = np.reshape(grid.bounds_m, (2, 2))
+    low_m, high_m = np.reshape(grid.bounds_m, (2, 2))
     quarter_m = (high_m - low_m) / 4
     wide_m = low_m - quarter_m, high_m + quarter_m
     known_m = np.reshape(maps.ds.attrs.get("known_bounds_m", wide_m), (2, 2))
-    corners_m = known_m.clip([wide_m[0], high_m], [low_m, wide_m[1]])
-    if np.abs(corners_m - bounds_m).max() <= EDGE_CELLS * grid.resolution_m:
-        return ""
-    return str(
-        grid.lonlat_at(corners_m).ravel().round(5).tolist()
-    )  # to 1 m, so that no cell is lost
+    return known_m.clip([wide_m[0], high_m], [low_m, wide_m[1]])
 
 
-def border_verdict(is_pinned: np.ndarray, noun: str = "routes") -> list[Verdict]:
+def border_verdict(
+    is_pinned: np.ndarray,
+    noun: str = "routes",
+    sides: Collection[str] = (),
+    ended: Collection[str] = (),
+) -> list[Verdict]:
     """Return how many routes the border may have decided; nothing where none comes near it.
 
     Args:
       is_pinned: ``[N]`` bool, of each route (`is_at_edge`).
       noun: what they are.
+      sides: that they come near to; empty: not known.
+      ended: sides on which the source of the maps ends (`ended_sides`).
     """
     count = int(np.sum(is_pinned))
     if not count:
@@ -296,5 +340,10 @@ def border_verdict(is_pinned: np.ndarray, noun: str = "routes") -> list[Verdict]
     n = len(is_pinned)
     which = f"{count:,} of {n:,} {noun}" if n > 1 else f"the {singular(noun)}"
     which += " comes" if count == 1 else " come"
-    facts = {"which": which, "count": count, "cells": EDGE_CELLS}
+    where = f" in the {' and '.join(sides)}" if sides else ""
+    beyond = " and ".join(side for side in ended if side in sides or not sides)
+    wider = "maps of wider bounds"
+    if beyond:
+        wider += f", and in the {beyond}, where their source ends, by a wider source"
+    facts = {"which": which, "count": count, "cells": EDGE_CELLS, "where": where, "wider": wider}
     return [Verdict(SharedVerdict.BORDER, n=n, noun=noun, needed=math.nan, facts=facts)]

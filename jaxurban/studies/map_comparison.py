@@ -29,7 +29,7 @@ from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded, size
 from jaxurban.studies.baseline import baseline_verdicts
 from jaxurban.studies.compared_routes import SAME as SAME_COST
 from jaxurban.studies.compared_routes import compared_routes
-from jaxurban.studies.decided import border_verdict, effects, wider_bounds
+from jaxurban.studies.decided import border_verdict, effects, ended_sides, wider_bounds
 from jaxurban.studies.results import StudyResult
 
 CELLS = ("y", "x")
@@ -244,7 +244,7 @@ class MapComparison(StudyResult):
             kind = MapVerdict.KEPT_OPEN if needed else MapVerdict.KEPT
             yield Verdict(kind, (), size, low, high, int(num), "%", "pairs", needed)
         yield from baseline_verdicts(routes, routes.pair, "pairs")
-        yield from border_verdict(routes.at_edge.to_numpy() > 0)
+        yield from border_verdict(routes.at_edge.to_numpy() > 0, ended=ended_sides(self.a))
 
     def _of_guesses(self) -> Iterator[Verdict]:
         """Yield that sets that differ rest on other guesses, such as how far their rays stay within the data."""

@@ -24,8 +24,10 @@ from jaxurban.studies.decided import (
     border_verdict,
     edge_band,
     effects,
+    ended_sides,
     is_at_edge,
     ranked,
+    sides_at_edge,
     wider_bounds,
 )
 
@@ -184,6 +186,29 @@ def test_wider_bounds_end_where_the_source_of_the_buildings_does():
     assert wider_bounds(nowhere) == ""
     quarter = np.reshape(json.loads(wider_bounds(maps)), (2, 2))  # maps that do not say
     assert np.ptp(maps.grid.xy_at(quarter), axis=0) == pytest.approx((600, 450), abs=20)
+
+
+def test_the_border_is_named_by_its_sides_and_a_source_that_ends_there_asks_for_a_wider_one():
+    """The source ends with the maps in the north alone."""
+    maps = open_map({"gps": np.ones((30, 40))})
+    west, south, east, north = maps.grid.bounds_m
+    known_m = [west - 1e4, south - 1e4, east + 1e4, north]
+    inside = ju.MetricMaps(maps.ds.assign_attrs(known_bounds_m=known_m))
+    assert ended_sides(inside) == ["north"]
+    assert ended_sides(maps) == []
+    along_north = np.array([[5.0, 155], [205, 295], [395, 155]])
+    assert sides_at_edge(along_north, inside) == ["north"]
+    assert wider_bounds(inside, ["north"]) == ""
+    assert wider_bounds(inside, ["north", "east"]) == wider_bounds(inside) != ""
+
+    def sentence(*sides: str) -> str:
+        (verdict,) = border_verdict(np.array([True]), sides=sides, ended=ended_sides(inside))
+        return verdict.sentence
+
+    assert "data in the north, away from the ends" in sentence("north")
+    assert sentence("east").endswith("more routes, but by maps of wider bounds")
+    partly = "wider bounds, and in the north, where their source ends, by a wider source"
+    assert all(sentence(*sides).endswith(partly) for sides in (["north"], ["east", "north"], []))
 
 
 def test_a_conclusion_has_three_lines_and_plain_records():

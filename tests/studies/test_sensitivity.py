@@ -1,6 +1,7 @@
 """Weights of one route: breakpoints against SciPy, the gradient of its cost, report and command."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -218,6 +219,24 @@ def test_the_first_lines_say_where_the_route_changes_and_that_one_route_says_not
     report = (found.folder / "report.md").read_text().splitlines()
     assert report[2].startswith("- **Decided**: ")
     assert all(line in repr(found) for line in lines.values())
+
+
+def test_a_given_route_along_the_border_is_cautioned_in_the_first_lines(found, tmp_path):
+    assert "may have made" not in found.decided.facts["decided"]
+    ways = found.route.ways.assign(at_edge=0.0, edge_sides="")
+    route = replace(found.route, ways=ways, edge_sides=("north",))
+    (city,) = found.maps
+    folder = found.maps[city].save(tmp_path / "out-wider" / city)
+    wide = {city: ju.open_maps(folder)}
+    pinned = replace(found, route=route, rows=found.rows.assign(at_edge=1.0), maps=wide)
+    lines = pinned.decided.facts
+    assert "sends the drone another way (from a route that the border may have made)" in str(lines)
+    assert lines["not decided"].startswith("the route comes within 3 cells of the border")
+    assert "data in the north, away" in lines["not decided"]
+    assert f"-o {tmp_path}/out-wider-wider/{city} --set" in lines["next"]
+    ended = {"known_bounds_m": wide[city].grid.bounds_m}
+    ends = {city: ju.MetricMaps(found.maps[city].ds.assign_attrs(ended))}
+    assert "region.bounds" not in replace(pinned, maps=ends).decided.facts["next"]
 
 
 @pytest.mark.slow

@@ -20,7 +20,15 @@ from jaxurban.planners.registry import EXACT_PLANNERS
 from jaxurban.statistics.bootstrap import Clusters, Interval, named
 from jaxurban.statistics.conclusions import Conclusion, Verdict, concluded
 from jaxurban.studies.baseline import SHORTEST, baseline_verdicts
-from jaxurban.studies.decided import Measure, Ranking, border_verdict, effects, ranked, wider_bounds
+from jaxurban.studies.decided import (
+    Measure,
+    Ranking,
+    border_verdict,
+    effects,
+    ended_sides,
+    ranked,
+    wider_bounds,
+)
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 from jaxurban.studies.queries import ends_option, weights_option
@@ -302,7 +310,7 @@ def conclusion(
     if len(planners) == 1:
         verdicts.append(Verdict(StudyVerdict.ALONE, (str(planners[0]),), needed=math.nan))
     best = best_rows(table)
-    verdicts += border_verdict(best.at_edge.to_numpy() == 1)
+    verdicts += border_verdict(best.at_edge.to_numpy() == 1, ended=ended_sides(maps))
     planner = str(table.planner.iloc[0])
     if rankings_of:
         planner = rankings_of["cost"].names[0].partition(" = ")[0]

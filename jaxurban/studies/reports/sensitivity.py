@@ -29,7 +29,7 @@ from jaxurban.paths.queries import IN_METRES
 from jaxurban.paths.rows import HAS_PATH
 from jaxurban.statistics.bootstrap import FEWEST_GROUPS, interval_columns
 from jaxurban.statistics.conclusions import VERDICTS, Conclusion, Verdict, concluded
-from jaxurban.studies.decided import FEWEST_RUNS, wider_bounds
+from jaxurban.studies.decided import FEWEST_RUNS, SIDES, ended_sides, wider_bounds
 from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes, plot_regret
 from jaxurban.studies.queries import constraint_options, ends_option, weights_option
 from jaxurban.studies.results import SHARES, StudyResult, with_units
@@ -154,7 +154,8 @@ class Sensitivity(StudyResult):
         """What is decided, what is not, and what to run next."""
         verdicts = [Verdict(WeightVerdict.NO_PATH, n=len(self.rows), needed=math.nan)]
         if "weights" in self.tables:
-            verdicts = verdicts_of(self.tables, self.route, self.settings)
+            ended = dict.fromkeys(chain(*map(ended_sides, self.maps.values())))
+            verdicts = verdicts_of(self.tables, self.route, self.settings, ended)
         # The options of this study, of other routes.
         folders = " ".join(str(maps.folder or "DIR") for maps in self.maps.values())
         altitudes = ",".join(f"{z:g}" for z in sorted(self.instances.altitude_m.unique()))
@@ -239,11 +240,14 @@ class Sensitivity(StudyResult):
     def _on_wider_maps(self, options: str) -> str:
         """Return the commands that make wider maps of each city, called as it is, and study them; empty without any."""
         commands, folders = [], []
+        sides = [*self.route.edge_sides, *self.route.other_edge_sides] if self.route else []
         for city, maps in self.maps.items():
             folder = f"{maps.folder or 'DIR'}"
-            bounds = wider_bounds(maps)
+            bounds = wider_bounds(maps, sides or SIDES)
             if bounds:
-                wider = f"{folder}-wider/{city}"
+                # Beside maps that are wider ones already, not in their folder.
+                parent = Path(folder).parent
+                wider = f"{parent if parent.name.endswith('-wider') else folder}-wider/{city}"
                 commands.append(f'jaxurban maps {folder} -o {wider} --set "region.bounds={bounds}"')
                 folder = wider
             folders.append(folder)
@@ -364,7 +368,9 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
         result["changed"] = changed.loc[changed.cut.isin([ALL, "city"]), columns]
     if "ways" in tables:
         ways = tables["ways"].rename(columns={"weight_name": "weight"})
-        result["ways"] = ways.assign(at_edge=ways.at_edge.map({0.0: "no", 1.0: "yes"}).fillna(""))
+        at_edge = ways.at_edge.map({0.0: "no", 1.0: "yes"}).fillna("")
+        at_edge = ways.edge_sides.where(ways.edge_sides.fillna("") != "", at_edge)
+        result["ways"] = ways.assign(at_edge=at_edge).drop(columns="edge_sides")
     return {name: in_percent(table) for name, table in result.items()}
 
 

@@ -7,7 +7,13 @@ import pandas as pd
 
 from jaxurban.metrics.weights import Weights
 from jaxurban.statistics.conclusions import Verdict
-from jaxurban.studies.decided import border_verdict, edge_band, is_at_edge, wider_bounds
+from jaxurban.studies.decided import (
+    border_verdict,
+    edge_band,
+    ended_sides,
+    is_at_edge,
+    wider_bounds,
+)
 from jaxurban.studies.demonstrations import Demonstration, optimal_demonstrations
 from jaxurban.studies.queries import RouteQuery, command_to_plan, maps_of, weights_option
 from jaxurban.studies.results import StudyResult, with_units
@@ -74,7 +80,8 @@ class FitResult(StudyResult):
             is_at_edge(each.points_m, each.query.cost_map.grid, bands[id(each.query.cost_map)])
             for each in (*self.routes, *self.planned)
         ]
-        return border_verdict(np.logical_or(*np.reshape(pinned, (2, -1))))
+        ended = ended_sides(self.queries[0].cost_map.maps)
+        return border_verdict(np.logical_or(*np.reshape(pinned, (2, -1))), ended=ended)
 
     @property
     def last_command(self) -> str:

@@ -13,6 +13,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.places import XY
 from jaxurban.progress import Report
+from jaxurban.studies.decided import SIDES, sides_at_edge
 from jaxurban.studies.demonstrations import overlap_of
 from jaxurban.studies.queries import RouteQuery, outcomes_of, weights_from
 from jaxurban.studies.route_pool import RoutePool
@@ -22,7 +23,17 @@ from jaxurban.studies.weights.routes import WeightsJob, query_of, varied_columns
 
 SAME_WAY = 0.5  # of a route's cells: one that keeps less of them goes another way
 MORE = [f"more_{name}" for name in PAID if name != "at_edge"]
-OF_WAY = ["weight_name", "side", "first", "factor", "overlap", "more_cost", *MORE, "at_edge"]
+OF_WAY = [
+    "weight_name",
+    "side",
+    "first",
+    "factor",
+    "overlap",
+    "more_cost",
+    *MORE,
+    "at_edge",
+    "edge_sides",
+]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,6 +49,7 @@ class OneRoute:
       lines: of each varied weight, the routes along its range, the others as given.
       ways: where each weight, made less or more, sends the drone another way (`_ways`).
       line_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of its cells.
+      edge_sides: sides on which the path runs along the border of the maps.
 
     Examples:
       >>> quick = ju.studies.SensitivitySettings(vary=("gps",))
@@ -56,6 +68,13 @@ class OneRoute:
     lines: dict[str, WeightLine]
     line_routes: dict[str, list[np.ndarray]]
     ways: pd.DataFrame
+    edge_sides: tuple[str, ...] = ()
+
+    @property
+    def other_edge_sides(self) -> tuple[str, ...]:
+        """Sides on which another way runs along the border of the maps."""
+        near = ", ".join(self.ways.edge_sides.dropna())
+        return tuple(side for side in SIDES if side in near)
 
     @typed
     def breakpoints(self, name: str) -> pd.DataFrame:
@@ -148,7 +167,8 @@ def one_route(cost_map: CostMap, instance: Row, job: WeightsJob, report: Report)
         line_routes={name: _routes(query, line) for name, line in lines.items()},
         ways=pd.DataFrame(),
     )
-    return replace(route, ways=_ways(route, cost_map))
+    sides = sides_at_edge(path.xy_m - cost_map.grid.bounds_m[:2], cost_map.maps)
+    return replace(route, ways=_ways(route, cost_map), edge_sides=tuple(sides))
 
 
 def _routes(query: RouteQuery, line: WeightLine) -> list[np.ndarray]:
@@ -165,7 +185,8 @@ def _ways(route: OneRoute, cost_map: CostMap) -> pd.DataFrame:
     ``first`` is the nearest factor at which the route changes at all. ``factor`` is the nearest one from which on it
     keeps less than `SAME_WAY` of its cells; of the route there, ``overlap`` is this share, ``more_cost`` as in
     `OneRoute.breakpoints`, and ``more_length_m``, ``more_people_below`` and ``more_no_fix_m`` what it costs more than
-    the given one (`paid_on`); ``at_edge`` is 1 where it runs along the border of the maps. NaN where there is none.
+    the given one (`paid_on`); ``at_edge`` is 1 where it runs along the border of the maps, on ``edge_sides``. NaN where
+    there is none.
     """
     southwest_m = cost_map.grid.bounds_m[:2]
     paid = paid_on(cost_map)
@@ -188,5 +209,6 @@ def _ways(route: OneRoute, cost_map: CostMap) -> pd.DataFrame:
                 row |= dict(part.loc[place, ["overlap", "more_cost"]])
                 row |= {f"more_{each}": other[each] - own[each] for each in own}
                 row |= {"factor": part[side][place], "at_edge": other["at_edge"]}
+                row["edge_sides"] = ", ".join(sides_at_edge(others_m[place], cost_map.maps))
             rows.append(row)
     return pd.DataFrame(rows).reindex(columns=OF_WAY)

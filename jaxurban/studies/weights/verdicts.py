@@ -1,7 +1,7 @@
 """What a study of weights decided, as records (`jaxurban.statistics.conclusions`)."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from enum import Enum
 from typing import Any
@@ -28,6 +28,7 @@ CHANGE_WORDS = {
     "time_of_day": "{layers} of another time of day",
 }
 LAYER_WORDS = {"gps": "satellites", "population": "people"}  # of metrics that change with the time
+GIVEN_AT_EDGE = " (from a route that the border may have made)"
 OF_COST = "% of the cost"
 PAIRS = "pairs of places"
 
@@ -45,10 +46,10 @@ class WeightVerdict(Enum):
     )
     NO_CHANGE = "no factor of {what} from {low:g} to {high:g} changes any of {n}"
     OTHER_WAY = (
-        "{first} times {factor:.3g} sends the drone another way: {paid}, at {size} more cost"
+        "{first} times {factor:.3g} sends the drone another way{given}: {paid}, at {size} more cost"
     )
     WAY_AT_EDGE = (
-        "{first} times {factor:.3g} sends the drone another way, along the border of the maps: {paid}, "
+        "{first} times {factor:.3g} sends the drone another way, along the border of the maps{given}: {paid}, "
         "at {size} more cost"
     )
     NO_WAY = "no factor of {what} from {low:g} to {high:g} sends the drone another way"
@@ -70,6 +71,7 @@ def verdicts_of(
     tables: Mapping[str, pd.DataFrame],
     route: OneRoute | None,
     settings: SensitivitySettings,
+    ended: Collection[str] = (),
 ) -> list[Verdict]:
     """Return what a study says of its weights, the most important first.
 
@@ -77,16 +79,25 @@ def verdicts_of(
       tables: of the study: ``routes``, ``weights``, ``summary`` and ``together``; ``changed_summary`` where it has one.
       route: what only a study of one route has.
       settings: of the study.
+      ended: sides on which the source of the maps ends (`ended_sides`).
     """
     weights = tables["weights"]
     summary = tables["summary"]
     of_all = summary[summary.cut == ALL]
-    verdicts = list(_ways(route, settings) if route else _ranks(weights, of_all, settings))
-    verdicts[1:1] = together_verdicts(tables["together"], settings)
+    is_pinned = tables["routes"].at_edge.dropna().to_numpy() > 0
+    border = border_verdict(is_pinned, sides=route.edge_sides if route else (), ended=ended)
+    together = together_verdicts(tables["together"], settings)
+    if route:  # whose place is the first thing to doubt
+        verdicts = list(_ways(route, settings, ended, GIVEN_AT_EDGE if border else ""))
+        verdicts[1:1] = [*border, *together]
+        border = []
+    else:
+        verdicts = list(_ranks(weights, of_all, settings, ended))
+        verdicts[1:1] = together
     if "changed_summary" in tables:
         changed = tables["changed_summary"]
         verdicts += map(on_other_maps, changed[changed.cut == ALL].to_dict("records"))
-    return verdicts + border_verdict(tables["routes"].at_edge.dropna().to_numpy() > 0)
+    return verdicts + border
 
 
 def weight_ranking(weights: pd.DataFrame) -> Ranking | None:
@@ -113,7 +124,10 @@ def _changes(weights: pd.DataFrame) -> pd.Series:
 
 
 def _ranks(
-    weights: pd.DataFrame, of_all: pd.DataFrame, settings: SensitivitySettings
+    weights: pd.DataFrame,
+    of_all: pd.DataFrame,
+    settings: SensitivitySettings,
+    ended: Collection[str],
 ) -> Iterator[Verdict]:
     """Yield how the weights rank, what each costs where it is wrong, and which change nothing.
 
@@ -121,6 +135,7 @@ def _ranks(
       weights: a row per route and weight.
       of_all: the rows of the summary of all routes, whose intervals are those of the report and its picture.
       settings: of the study.
+      ended: sides on which the source of the maps ends.
     """
     wrong = {"wrong": settings.wrong}
     ranking = weight_ranking(weights)
@@ -151,24 +166,33 @@ def _ranks(
 
     # Routes that the border may have made, if one of the weights is wrong.
     sent = varied.groupby([*ROUTE_KEY]).more_at_edge.max()
-    yield from border_verdict(
-        sent.to_numpy() > 0, f"routes, only with one weight {settings.wrong:g} times wrong,"
-    )
+    noun = f"routes, only with one weight {settings.wrong:g} times wrong,"
+    yield from border_verdict(sent.to_numpy() > 0, noun, ended=ended)
 
 
-def _ways(route: OneRoute, settings: SensitivitySettings) -> Iterator[Verdict]:
-    """Yield where a weight of a single route sends the drone another way, the nearest factors first."""
+def _ways(
+    route: OneRoute, settings: SensitivitySettings, ended: Collection[str], given: str
+) -> Iterator[Verdict]:
+    """Yield where a weight of a single route sends the drone another way, the nearest factors first.
+
+    Args:
+      route: the single route.
+      settings: of the study.
+      ended: sides on which the source of the maps ends.
+      given: a caution on the given route, for each sentence on another one.
+    """
     ways = route.ways[route.ways.factor.notna()]
     nearest = np.log(ways.factor).abs().sort_values().index
     for row in ways.loc[nearest].to_dict("records"):
         kind = WeightVerdict.WAY_AT_EDGE if row["at_edge"] else WeightVerdict.OTHER_WAY
-        facts = {"factor": row["factor"], "paid": paid_said(row)}
+        facts = {"factor": row["factor"], "paid": paid_said(row), "given": given}
         more = 100 * row["more_cost"]
         yield Verdict(kind, (row["weight_name"],), more, n=1, unit="%", facts=facts)
     calm = tuple(name for name in route.lines if name not in set(ways.weight_name))
     if calm:
         yield Verdict(WeightVerdict.NO_WAY, calm, n=1, facts=_range(settings))
-    yield from border_verdict(ways.at_edge.to_numpy() > 0, "other ways")
+    is_pinned = ways.at_edge.to_numpy() > 0
+    yield from border_verdict(is_pinned, "other ways", route.other_edge_sides, ended)
     yield Verdict(WeightVerdict.ONE_ROUTE, tuple(route.lines), n=1, needed=math.nan)
 
 
