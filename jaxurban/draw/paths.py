@@ -143,8 +143,10 @@ def plot_paths(
     days = {place.time_of_day for place in places}
     has_times = len(times) > 1
     has_days = len(days) > 1
+    weights = one_weighting([each.path for each in drawn])
     panels = [
-        _cost_panel(maps, place, shown, has_times, has_days) for place, shown in named_at.items()
+        _cost_panel(maps, place, shown, weights, has_times, has_days)
+        for place, shown in named_at.items()
     ]
 
     # Of the maps what lies around the routes, and one scale for all that is shown.
@@ -165,7 +167,7 @@ def plot_paths(
     facts = frame_note(maps, None if has_times else times.pop())
     rules = rules_said(*(each.path.settings for each in drawn))
     of_cost = ""
-    if drawn and not one_weighting(planned):
+    if drawn and not weights:
         of_cost = "cost: that of all weights 1, as those of the routes differ"
     note = joined(facts, rules, of_cost, grid_said(drawn), by="\n")
 
@@ -202,6 +204,7 @@ def _cost_panel(
     maps: MetricMaps,
     place: CostChoice,
     named: Sequence[DrawnPath],
+    weights: Mapping[str, float],
     has_time: bool,
     has_day: bool,
 ) -> MapPanel:
@@ -211,6 +214,7 @@ def _cost_panel(
       maps: of the cost.
       place: which map of the cost.
       named: the paths that were planned on it.
+      weights: of the cost, those of all paths of the picture; 1 where they differ.
       has_time: whether the title names the time, if the map has one.
       has_day: whether it names the time of day.
     """
@@ -226,7 +230,7 @@ def _cost_panel(
     if len(named) > MOST_LISTED:
         foot = batch_line([each.path for each in named])
     is_closed = closed_at(maps, place, [each.path for each in named])
-    layers = cost_layers(maps, *place, one_weighting([each.path for each in named]))
+    layers = cost_layers(maps, *place, weights)
     return MapPanel(title, layers, foot, is_closed=is_closed)
 
 

@@ -760,6 +760,24 @@ def test_titles_name_the_time_of_day(maps):
     assert plotting.plot_paths(maps, [day[0], night]).get_suptitle().endswith("ground")
 
 
+def test_all_panels_of_routes_have_the_cost_of_the_weights_that_the_note_names(maps, monkeypatch):
+    used = []
+
+    def layers_of(maps, altitude_m, time, time_of_day, weights):
+        used.append(weights)
+        return cost_layers(maps, altitude_m, time, time_of_day, weights)
+
+    monkeypatch.setattr("jaxurban.draw.paths.cost_layers", layers_of)
+    day, night = (make_path(maps, "astar", time_of_day=name) for name in ("day", "night"))
+    other = replace(night, settings=night.settings | {"weights": {"distance": 0.1, "gps": 2.0}})
+    for path, weights in ((night, RULES["weights"]), (other, {})):
+        used.clear()
+        texts = plotting.plot_paths(maps, [day, path]).findobj(Text)
+        is_named = any("cost: that of all weights 1" in text.get_text() for text in texts)
+        assert is_named == (not weights)
+        assert used == [weights] * 2
+
+
 @pytest.mark.usefixtures("laid_out")
 @pytest.mark.parametrize(
     "draw", [partial(plotting.plot_metric, name="gps"), plotting.plot_obstacles]
