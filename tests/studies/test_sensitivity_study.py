@@ -453,13 +453,17 @@ def test_only_layers_that_differ_at_another_time_of_day_are_named_and_alike_time
 
     def changes(maps):
         found = changed_maps("alpha", maps, maps, settings, None)
-        return [(name, step) for name, step, _ in found]
+        is_error = (isinstance(make, ju.InputError) for *_, make in found)
+        return [*is_error]
 
-    assert changes(alpha) == [("time_of_day", 1)]
+    assert changes(alpha) == [False]
     assert differing_layers(alpha, "time_of_day", 1) == ["population"]
     ds = alpha.ds.copy(deep=True)
-    ds["population"].values[1:] = ds["population"].values[0]
-    assert changes(ju.MetricMaps(ds)) == []
+    ds["population"].values[1:] = ds["population"].values[0] + 6e-8  # norms that are multiples
+    alike = ju.MetricMaps(ds)
+    assert changes(alike) == [True]
+    ((*_, error),) = changed_maps("alpha", alike, alike, settings, None)
+    assert str(error) == "the maps of each time of day are the same: nothing was compared"
 
     row = {"change": "time_of_day", "is_other": 0.2, "is_other_low": 0.1, "is_other_high": 0.3}
     row |= {"routes": 40, "nominal_regret": 0.01}

@@ -21,6 +21,7 @@ from jaxurban.maps.task import MapTask
 from jaxurban.maps.uncertain_heights import perturbed_cities
 from jaxurban.paths.rows import Source, runs_to_do, solve_here
 from jaxurban.progress import LOG, Report
+from jaxurban.studies.map_comparison import SAME
 from jaxurban.studies.weights.cities import Cities, in_order
 from jaxurban.studies.weights.routes import (
     ROUTE_KEY,
@@ -66,7 +67,7 @@ def add_changed_rows(
             nominal_at = lru_cache(maxsize=1)(partial(job.cost_map, maps))
             changes = changed_maps(city, cities.sources[city], maps, job.settings, report)
             for change, draw, make in changes:
-                if isinstance(make, InputError):  # lost sources
+                if isinstance(make, InputError):  # lost sources, or the same maps
                     skipped.append(f"{city}: {make}")
                     continue
 
@@ -102,7 +103,8 @@ def changed_maps(
     """Yield of each change of maps its name and number (`CHANGE`), and what makes them, or the error why none does.
 
     The first ones are the maps themselves with the times, or the times of day, of one dimension moved on by one or
-    more, so that each time has the map of another one; where this changes no layer, none is made.
+    more, so that each time has the map of another one; where this changes no layer, none is made, and where no time
+    has another map than the others, the error says so.
 
     Args:
       city: of the maps, for the report.
@@ -112,9 +114,17 @@ def changed_maps(
       report: of the progress.
     """
     for name in ("time", "time_of_day"):
-        for step in range(1, maps.ds.sizes.get(name, 1)):
-            if differing_layers(maps, name, step):
-                yield name, step, partial(_moved_on, maps, name, step)
+        steps = range(1, maps.ds.sizes.get(name, 1))
+        differing = [step for step in steps if differing_layers(maps, name, step)]
+        if steps and not differing:
+            which = name.replace("_", " ")
+            yield (
+                name,
+                0,
+                InputError(f"the maps of each {which} are the same: nothing was compared"),
+            )
+        for step in differing:
+            yield name, step, partial(_moved_on, maps, name, step)
     if not settings.num_heights:
         return
     try:
@@ -139,7 +149,10 @@ def _moved_on(maps: MetricMaps, name: str, step: int) -> MetricMaps:
 
 
 def differing_layers(maps: MetricMaps, name: str, step: int) -> list[str]:
-    """Return the metrics whose maps differ where times are moved on (`_moved_on`); none of heights."""
+    """Return the metrics whose maps differ, by more than `SAME`, where times are moved on (`_moved_on`).
+
+    There are none of heights.
+    """
     if name == HEIGHTS:
         return []
     moved = _moved_on(maps, name, step)
@@ -147,7 +160,7 @@ def differing_layers(maps: MetricMaps, name: str, step: int) -> list[str]:
     return [
         metric
         for metric, variable in variables.items()
-        if not maps.ds[variable].equals(moved.ds[variable])
+        if not np.allclose(maps.ds[variable], moved.ds[variable], SAME, SAME, equal_nan=True)
     ]
 
 
