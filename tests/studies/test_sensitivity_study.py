@@ -289,6 +289,14 @@ def test_weights_that_cannot_be_told_apart_share_a_rank_and_routes_along_the_bor
     assert said(table.assign(more_at_edge=0.0), 1.0)[SharedVerdict.BORDER].facts["count"] == 3
 
 
+def test_where_any_route_costs_more_it_is_open_how_much_and_not_whether():
+    table = made_weights(gps=0.01)
+    table["regret"] = np.where(range(80), 0.0, 0.01)  # of the first one alone
+    sentence = said(table)[WeightVerdict.COSTS_OPEN].sentence
+    assert sentence.startswith("how much more routes cost with gps 2 times wrong is open: 0.0")
+    assert "on average, as 1 % of these cost more and none less (" in sentence
+
+
 def test_strata_with_fewer_than_ten_routes_are_left_out_and_named():
     table = made_weights(gps=0.01)
     table["range"] = np.select(

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.statistics.bootstrap import Clusters
-from jaxurban.statistics.conclusions import Verdict, sized
+from jaxurban.statistics.conclusions import SAME, Verdict, sized
 from jaxurban.studies.decided import Measure, Ranking, border_verdict, ranked
 from jaxurban.studies.weights.one_route import OneRoute
 from jaxurban.studies.weights.routes import ROUTE_KEY
@@ -42,7 +42,8 @@ class WeightVerdict(Enum):
     TIED = "which of {what} matters more ({first} over {last}: {size}, {n})"
     COSTS = "{first} {wrong:g} times wrong makes routes cost {size} more: {paid} (means of {n})"
     COSTS_OPEN = (
-        "whether routes cost more at all with {first} {wrong:g} times wrong is open: {size} ({n})"
+        "how much more routes cost with {first} {wrong:g} times wrong is open: {size} on average, as {share:.0f} % of "
+        "these cost more and none less ({n})"
     )
     NO_CHANGE = "no factor of {what} from {low:g} to {high:g} changes any of {n}"
     OTHER_WAY = (
@@ -158,6 +159,7 @@ def _ranks(
         kind = WeightVerdict.COSTS
         if 0 < row.regret_needed < math.inf:
             kind = WeightVerdict.COSTS_OPEN
+            facts["share"] = 100 * (of_weight.regret > SAME).mean()
         about = size, low, high, row.pairs, "%", PAIRS, row.regret_needed
         yield Verdict(kind, (row.Index,), *about, facts)
     if dead:
