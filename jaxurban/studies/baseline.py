@@ -21,11 +21,12 @@ class BaselineVerdict(Enum):
 
     LESS = (
         "routes under these weights have {size} less exposure (what all metrics cost along them) than those of "
-        "distance alone, the baseline ({n}); flown more, on average: {paid}"
+        "distance alone, the baseline (mean of each route's own share, {n}); flown more, on average: {paid}"
     )
     LESS_OPEN = (
         "whether routes under these weights have less exposure (what all metrics cost along them) than those of "
-        "distance alone, the baseline, is open: {size} ({n}); flown more, on average: {paid}"
+        "distance alone, the baseline, is open: {size} (mean of each route's own share, {n}); flown more, on average: "
+        "{paid}"
     )
 
 

@@ -203,7 +203,8 @@ def test_cheapest_paths_are_set_beside_the_baseline_of_distance_alone(table):
     assert verdict.is_decided
     assert (verdict.n, verdict.low, verdict.size) == pytest.approx((10, 600 / 11, 600 / 11))
     assert "have 54.5 % (54.5 to 54.5) less exposure" in verdict.sentence
-    assert "distance alone, the baseline (10 instances" in verdict.sentence
+    own = "distance alone, the baseline (mean of each route's own share, 10 instances"
+    assert own in verdict.sentence
     assert "flown more, on average: 20.0 m of way (20.0 to 20.0)" in verdict.sentence
     (few,) = analysis.beside_baseline(table[table.instance < 5], instances)
     assert not few.is_decided
