@@ -195,6 +195,16 @@ def test_shortest_paths_are_set_against_the_cheapest(table):
     lost = table.assign(has_path=table.has_path & is_shortest)
     assert analysis.objectives(lost).empty
 
+    # No path of a grid costs less than its cheapest one or is shorter than its shortest one, whatever it scatters.
+    scattered = table.assign(cost=table.cost.mask(is_shortest & (table.instance > 1), 10.0))
+    scattered["length_m"] = table.length_m.mask(is_shortest & (table.instance > 1), 100.0)
+    (row,) = analysis.objectives(scattered).to_dict("records")
+    assert row["cost_change_low"] == row["length_m_change_high"] == 0
+    assert row["m_gps_change_high"] < 0
+    by_samples = scattered[scattered.planner == CHEAP].assign(planner=DEAR)
+    (row,) = analysis.objectives(by_samples).to_dict("records")
+    assert row["cost_change_low"] < 0 < row["length_m_change_high"]
+
 
 def test_cheapest_paths_are_set_beside_the_baseline_of_distance_alone(table):
     """Costs of 10 and 15 over 100 m and 80 m at 0.05 a metre: 5 of exposure beside 11, 54.5 % less, for 20 m of way."""

@@ -186,23 +186,29 @@ def objectives(table: pd.DataFrame) -> pd.DataFrame:
             has_both = runs["cost"].notna().all(axis=1) & (runs["cost"] > 0).all(axis=1)
             pairs = runs[has_both]
             row = {"planner": planner, "altitude_m": altitude_m, "pairs": len(pairs)}
-            result.append(row | _changes(pairs.astype(float)))
+            is_exact = planner in EXACT_PLANNERS
+            result.append(row | _changes(pairs.astype(float), is_exact))
     return pd.DataFrame(result)
 
 
-def _changes(pairs: pd.DataFrame) -> dict[str, float]:
+def _changes(pairs: pd.DataFrame, is_exact: bool) -> dict[str, float]:
     """Return how the shortest paths differ from the cheapest ones: means with intervals that hold at once.
 
     Each is a column ``NAME_change``, that of the cost in percent. A number that some path lacks has none.
 
     Args:
       pairs: a row per instance, indexed by `KEY`; columns of two levels, a number of a path and the objective.
+      is_exact: no other path costs less than the cheapest one or is shorter than the shortest one, and so no interval
+        goes beyond 0 there.
     """
     names = pairs.columns.unique(0)
     changes = pd.DataFrame({name: pairs[name, DISTANCE] - pairs[name, WEIGHTED] for name in names})
     changes["cost"] *= 100 / pairs["cost", WEIGHTED]
     changes = changes.dropna(axis=1)
     table = effects(changes, Clusters(pairs.index.get_level_values("instance")))
+    if is_exact:
+        table.loc["cost", "low"] = table.low.clip(0)["cost"]
+        table.loc["length_m", "high"] = table.high.clip(upper=0)["length_m"]
     columns: dict[str, float] = {}
     rows: Any = table.itertuples()
     for row in rows:
