@@ -122,14 +122,18 @@ def test_times_are_by_planner_and_altitude(table):
     assert time.loc[LINE, "p95_s"] == 0.001  # and not that of refusing a pair
 
 
-def test_planners_are_ranked_by_cost_where_both_found_a_path_and_by_the_pairs_that_they_solved(
+def test_planners_are_ranked_by_cost_where_all_found_a_path_and_by_the_pairs_that_they_solved(
     table,
 ):
-    of_cost, of_pairs = analysis.rankings(table).values()
+    """The straight line solves 4 of 11 joined pairs, too few to be ranked by cost with the others."""
+    of_cost, of_pairs, of_line = analysis.rankings(table).values()
     (pair,) = of_cost.pairs[of_cost.pairs.second == DEAR].query("first == @CHEAP").itertuples()
     assert (pair.n, pair.needed) == (9, 0)
     assert pair.size == pair.low == pair.high == pytest.approx(20)  # every pair says the same
-    assert of_cost.table.set_index("name")["rank"].to_dict() == {CHEAP: 1, LINE: 1, DEAR: 2}
+    assert of_cost.table.set_index("name")["rank"].to_dict() == {CHEAP: 1, DEAR: 2}
+    assert of_line.measure == "cost where all find a path"
+    assert set(of_line.table.n.dropna()) == {3}
+    assert of_line.table.behind[LINE] == pytest.approx(2)
     solved = of_pairs.pairs.set_index(["first", "second"])
     assert solved.loc[(CHEAP, LINE)].size == 5
     assert solved.loc[(CHEAP, LINE), "size"] == pytest.approx(100 * 6 / 11)
@@ -140,6 +144,10 @@ def test_planners_are_ranked_by_cost_where_both_found_a_path_and_by_the_pairs_th
         "jaxurban study city.toml -o DIR --set study.instances="
     )
     assert f"{DEAR} costs 20.0 % (20.0 to 20.0) more than {CHEAP}" in decided.facts["decided"]
+    fails = f"{LINE} finds no path for 64 % (30 to 90) of the joined pairs (11 joined instances)"
+    assert decided.facts["decided"].startswith(fails)
+    only_line = table[table.planner == LINE]
+    assert analysis.failing(only_line[only_line.instance > 3]) == []  # nothing else to rank
     undecided = decided.facts["not decided"]
     assert f"{CHEAP} and {DEAR} cannot be told apart in pairs solved" in undecided
     assert f"({DEAR} finds a path for 0 percentage points (" in undecided

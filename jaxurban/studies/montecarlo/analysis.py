@@ -33,6 +33,8 @@ from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 from jaxurban.studies.queries import ends_option, weights_option
 
+FEWEST_SOLVED = 0.5  # of the joined pairs: planners that solve fewer are ranked by cost apart
+ON_FEW = "cost where all find a path"
 OF_LENGTH = f"{WEIGHT_PREFIX}distance"  # the weight of a metre
 
 
@@ -219,6 +221,7 @@ def _changes(pairs: pd.DataFrame, is_exact: bool) -> dict[str, float]:
 class StudyVerdict(Enum):
     """What a benchmark decides of two planners, by each measure of `rankings`."""
 
+    FAILS = "{first} finds no path for {size} of the joined pairs ({n})"
     COSTS_MORE = "{last} costs {size} more than {first} ({n})"
     FINDS_LESS = "{last} finds a path for {size} fewer of the joined pairs than {first} ({n})"
     COST_TIED = (
@@ -231,8 +234,10 @@ class StudyVerdict(Enum):
     ALONE = "there is nothing to compare, as {first} is the only planner"
 
 
+OF_COST = StudyVerdict.COSTS_MORE, "instances that all of these solve", StudyVerdict.COST_TIED
 KINDS = {  # of each measure: where two planners differ, what runs are, and where they cannot be told apart
-    "cost": (StudyVerdict.COSTS_MORE, "instances that both solve", StudyVerdict.COST_TIED),
+    "cost": OF_COST,
+    ON_FEW: OF_COST,
     "pairs solved": (StudyVerdict.FINDS_LESS, "joined instances", StudyVerdict.FINDS_TIED),
 }
 
@@ -240,24 +245,56 @@ KINDS = {  # of each measure: where two planners differ, what runs are, and wher
 def rankings(table: pd.DataFrame) -> dict[str, Ranking]:
     """Return the planners in groups of ranks by ``"cost"`` and by ``"pairs solved"``.
 
-    Costs are compared by their ratio on the pairs that both planners solved, in percent; pairs solved in percentage
-    points of the joined pairs. All intervals hold at once; instances are drawn, with all their altitudes. Without a
-    joined pair there is no rank.
+    Costs are compared by their ratio on the pairs that all planners solved, in percent; pairs solved in percentage
+    points of the joined pairs. Planners that solve fewer than `FEWEST_SOLVED` of these are ranked by cost in a measure
+    of its own, `ON_FEW`, as the few pairs that they solve say nothing of the others. All intervals hold at once;
+    instances are drawn, with all their altitudes. Without a joined pair there is no rank.
 
     Args:
       table: from `with_instances`; only runs of the weighted objective count.
     """
-    rows = weighted_rows(table)
-    rows = rows[rows.is_joined].set_index([*KEY, "planner"])
+    rows = _joined_rows(table)
     if rows.empty:
         return {}
     costs = rows.cost.where(rows.has_path & (rows.cost > 0)).unstack("planner")
     percent = 100.0 * rows.has_path.unstack("planner").astype(float)
+    few = [each.what[0] for each in failing(table)]
+    common = costs.drop(columns=few).dropna()
     measures = {
-        "cost": Measure(costs, is_ratio=True),
+        "cost": Measure(common.reindex(costs.index), is_ratio=True),
         "pairs solved": Measure(percent, "percentage points", is_better_high=True, largest=100.0),
     }
+    solved_by_all = costs.dropna()
+    if few and len(solved_by_all):
+        measures[ON_FEW] = Measure(solved_by_all.reindex(costs.index), is_ratio=True)
     return ranked(measures, Clusters(costs.index.get_level_values("instance")))
+
+
+def _joined_rows(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of the weighted objective between joined pairs, by `KEY` and planner."""
+    rows = weighted_rows(table)
+    return rows[rows.is_joined].set_index([*KEY, "planner"])
+
+
+def failing(table: pd.DataFrame) -> list[Verdict]:
+    """Return how often each planner fails that solves fewer than `FEWEST_SOLVED` of the joined pairs.
+
+    Empty where all planners do.
+
+    Args:
+      table: from `with_instances`.
+    """
+    lost = 1 - _joined_rows(table).has_path.unstack("planner").astype(float)
+    few = lost.loc[:, lost.mean() > 1 - FEWEST_SOLVED]
+    if few.shape == lost.shape:
+        return []
+    clusters = Clusters(lost.index.get_level_values("instance"))
+    verdicts = []
+    for name, is_lost in few.items():
+        share = 100 * np.array(clusters.interval(is_lost, "share"))
+        about = *share, clusters.num_groups, "%", "joined instances"
+        verdicts.append(Verdict(StudyVerdict.FAILS, (str(name),), *about))
+    return verdicts
 
 
 def best_rows(table: pd.DataFrame) -> pd.DataFrame:
@@ -307,7 +344,7 @@ def conclusion(
       wider: command of a benchmark of the same instances, over maps whose bounds are still to be named.
       rules: options of its constraints.
     """
-    verdicts: list[Verdict] = []
+    verdicts = failing(table)
     rankings_of = rankings(table)
     for measure, ranking in rankings_of.items():
         verdicts += ranking.verdicts(*KINDS[measure])
