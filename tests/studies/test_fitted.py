@@ -16,7 +16,7 @@ from jaxurban.studies.demonstrations import demonstration_from_line, optimal_dem
 from jaxurban.studies.figures.tuning import plot_weights
 from jaxurban.studies.queries import command_to_plan, command_to_vary, weights_option
 from jaxurban.studies.tuning.confidence import FitVerdict
-from jaxurban.studies.tuning.tested import PAIRS, wish_verdicts
+from jaxurban.studies.tuning.tested import HELD_OUT, wish_verdicts
 from tests.studies.routes_made import HIDDEN, NUM, made_queries
 
 QUICK = FitSettings(max_rounds=1)
@@ -248,7 +248,7 @@ def test_a_wish_asks_for_as_many_routes_as_decide_all_that_is_open():
     tested = pd.DataFrame([columns | ends | row | {"n": 8, "unit": ""} for row in rows])
     targets = [ju.fit.Target.parse("mean_lidar>=0.3")]
     verdicts, needed = wish_verdicts(tested, targets, [True], is_tested=True, is_kept=False)
-    assert [each.noun for each in verdicts] == [PAIRS] * 4
+    assert [each.noun for each in verdicts] == [HELD_OUT] * 4
     assert needed == 60
 
 

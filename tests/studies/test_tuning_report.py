@@ -206,3 +206,11 @@ def test_the_instances_of_a_study_are_fitted_and_their_ends_take_a_wish(tmp_path
     wish = ("--wish", "mean_gps>=0.5", "--metrics", "gps", "--fit", "max_rounds=1")
     wished = facts_of(capsys, maps, file, "-o", tmp_path / "c", *wish)
     assert len(wished["outcomes"]) == 1
+
+    # Further routes that are drawn are of the altitude and the time of day of these.
+    by_day = tmp_path / "day.parquet"
+    pd.read_parquet(file).query("time_of_day == 'day'").to_parquet(by_day)
+    wished = facts_of(capsys, maps, by_day, "-o", tmp_path / "d", *wish)
+    command = wished["decided"]["lines"]["next"]
+    assert " --altitude 20.0 --time " in command
+    assert " --time-of-day day --sample " in command

@@ -50,6 +50,7 @@ from jaxurban.studies.tuning.weight_fit import WeightFit, fit_weights
 
 TABLES = ("learning_curve", "weights", "examples", "targets", "tested")
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
+AT = {"altitude_m": "--altitude", "time": "--time", "time_of_day": "--time-of-day"}
 ROUNDING = 1e-6  # of weights that sum to 1
 
 
@@ -145,11 +146,33 @@ def run_tuning(
                 _origin(source, files, settings, num)
                 for (source, files), num in zip(sources.items(), nums, strict=True)
             ]
-            fit = replace(fit, commands=settings.commands, origin=Markdown("; ".join(origins)))
+            commands = settings.commands
+            if settings.sample is None:  # others that are drawn answer the same question
+                same = _shared_options(routes, settings)
+                commands = commands._replace(
+                    more=commands.more.replace("--sample", f"{same}--sample")
+                )
+            fit = replace(fit, commands=commands, origin=Markdown("; ".join(origins)))
             if len(drawn) == 1:  # of one city, which a further fit takes again
                 write_table(drawn[0], folder / INSTANCES_FILE)
             save(folder, fit_report(fit).outputs)
     return _facts(fit, folder)
+
+
+def _shared_options(routes: Sequence[Demonstration], settings: TuneSettings) -> str:
+    """Return the options of the altitude and the times that all routes share, with a space behind each.
+
+    Args:
+      routes: of the fit.
+      settings: of the fit; what it names is in the command already.
+    """
+    cost_maps = maps_of(each.query for each in routes)
+    options = ""
+    for name, option in AT.items():
+        shared = {getattr(each, name) for each in cost_maps} - {None}
+        if len(shared) == 1 and name not in settings.routes:
+            options += f"{option} {shared.pop()} "
+    return options
 
 
 def _origin(source: MapsFolder, files: Sequence[Path], settings: TuneSettings, num: int) -> str:

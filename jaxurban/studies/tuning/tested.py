@@ -26,6 +26,7 @@ SPLIT = 0  # stream of random numbers
 MOST_HELD_OUT = 0.9
 MOST_ASKED = 0.5  # share that a further fit holds out: of more routes are needed
 PAIRS = "pairs of ends"
+HELD_OUT = "held-out pairs of ends"
 OF_PEOPLE = f"{MEAN}population"
 UNITS = {LENGTH: "m", PEOPLE: "times the shortest routes'", DETOUR: "above the shortest routes"}
 
@@ -196,12 +197,13 @@ def wish_verdicts(
     """
     rows = tested.to_dict("records")
     verdicts = []
+    noun = HELD_OUT if is_tested and not is_kept else PAIRS
     for target, row, is_near in zip(targets, rows, is_reached, strict=False):
         kind = _kind_of(target.is_met(row["with_wish"]), row["needed"], is_kept, is_near)
         if not is_tested:  # an interval of routes that were fitted says nothing of others
             row = row | {"with_wish_low": np.nan, "with_wish_high": np.nan, "needed": np.nan}
             kind = WishVerdict.SEEN
-        verdicts.append(_wish_verdict(kind, str(target), row, "with_wish", row["needed"]))
+        verdicts.append(_wish_verdict(kind, str(target), row, "with_wish", row["needed"], noun))
     if is_tested and not is_kept:
         wished = [target.outcome for target in targets]
         for outcome, row in zip([*wished, *tested["what"][len(targets) :]], rows, strict=True):
@@ -211,13 +213,13 @@ def wish_verdicts(
                 continue  # whether the target holds is what is open
             needed = 0.0 if outcome in wished else row["needed"]
             kind = WishVerdict.UNSEEN if needed else WishVerdict.COSTS
-            verdicts.append(_wish_verdict(kind, label, row, "change", needed))
+            verdicts.append(_wish_verdict(kind, label, row, "change", needed, noun))
     needs = [each.needed for each in within_reach(verdicts)] if is_tested else [FEWEST_GROUPS]
     return tuple(verdicts), max(needs, default=0.0)
 
 
 def _wish_verdict(
-    kind: WishVerdict, label: str, row: Mapping[Any, Any], name: str, needed: float
+    kind: WishVerdict, label: str, row: Mapping[Any, Any], name: str, needed: float, noun: str
 ) -> Verdict:
     """Return what is decided of an outcome, by its row of `tested_outcomes`.
 
@@ -227,10 +229,11 @@ def _wish_verdict(
       row: of the table.
       name: of the columns of its size and interval.
       needed: further pairs of ends that would decide it.
+      noun: what these are.
     """
     size, low, high = (row[column] for column in interval_columns(name))
     facts = {"largest": row["largest"]}
-    return Verdict(kind, (label,), size, low, high, row["n"], row["unit"], PAIRS, needed, facts)
+    return Verdict(kind, (label,), size, low, high, row["n"], row["unit"], noun, needed, facts)
 
 
 def _kind_of(is_met: bool, needed: float, is_kept: bool, is_reached: bool) -> WishVerdict:
