@@ -15,6 +15,7 @@ from jaxurban.statistics.bootstrap import (
     draws_of,
     median_of,
 )
+from jaxurban.studies.figures.montecarlo import plot_costs
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.trial import row_columns
 from tests.made_maps import made_maps
@@ -114,6 +115,15 @@ def test_costs_above_the_cheapest_known_are_quantiles_in_percent(table):
         assert row.above_most >= row.above_p95 >= row.above_median
     assert found.cheapest[CHEAP] == 100
     assert found.cheapest[LINE] < 100
+
+
+def test_the_curve_of_costs_ends_at_the_share_that_the_planner_solved():
+    ratios = {CHEAP: [1.0, 1.0], DEAR: [1.0, 1.3]}
+    rows = [(name, 20.0, ratio) for name, values in ratios.items() for ratio in values]
+    figure = plot_costs(pd.DataFrame(rows, columns=["planner", "altitude_m", "ratio"]))
+    panel = figure.axes[0]
+    assert [line.get_ydata()[-1] for line in panel.lines] == [1.0, 1.0]
+    assert panel.get_xlim()[1] > 1.3
 
 
 def test_times_are_by_planner_and_altitude(table):

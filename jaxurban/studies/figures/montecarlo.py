@@ -28,8 +28,9 @@ def plot_costs(table: pd.DataFrame, **form: Unpack[Form]) -> Figure:
     colours = planner_colours(sorted(table.planner.unique()))
     heading = "Share of pairs solved within a factor of the cheapest cost known"
     figure, axes = panels(table.altitude_m.nunique(), heading, shares_y=True, **form)
-    end = np.clip(table.ratio.max(), *RATIO_AXIS)
-    left = 1 - 0.01 * (end - 1)  # a little room before the ratio of 1
+    room = 0.01 * (table.ratio.max() - 1)  # before the ratio of 1, and after the last one
+    end = np.clip(table.ratio.max() + room, *RATIO_AXIS)
+    left = 1 - 0.01 * (end - 1)
     for panel, (altitude_m, rows) in zip(axes, table.groupby("altitude_m"), strict=True):
         # Earlier curves are wider, so that all are seen where they coincide.
         widths_pt = CURVE * widths_of(len(colours))
