@@ -109,8 +109,11 @@ def sensitivity_command(
 
     The routes are planned over the maps in each DIR: one from --start to --goal, or those of --routes.
     """
-    if (start is None) != (goal is None) or (start and routes):
-        raise click.UsageError("one route has a --start and a --goal, several have --routes")
+    if (start is None) != (goal is None):
+        lacking = "--start" if start is None else "--goal"
+        raise click.UsageError(f"one route has a --start and a --goal: name the {lacking}, too")
+    if start and routes:
+        raise click.UsageError("--start and --goal are of one route, --routes of several: name one")
     settings = SensitivitySettings(vary=vary, factors=factors, **study)
 
     from jaxurban.io.tables import read_table

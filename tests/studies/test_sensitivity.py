@@ -269,6 +269,21 @@ def test_the_command_prints_json_and_tells_a_start_that_was_moved_there_and_in_t
         assert "The start was not free: it was moved 30.0 m, to a free cell." in text
 
 
+def test_an_end_that_is_missing_is_named_and_so_is_what_asks_for_several_routes(
+    crossed, ends, tmp_path, capsys
+):
+    folder = crossed.save(tmp_path / "maps")
+    start, goal = ("{:.6f},{:.6f}".format(*end) for end in ends)
+    for options, said in (
+        ([f"--start={start}"], "name the --goal, too"),
+        ([f"--goal={goal}"], "name the --start, too"),
+        ([f"--start={start}", f"--goal={goal}", "--routes", 3], "--routes of several: name one"),
+    ):
+        code, _, err = run(capsys, "sensitivity", folder, *options)
+        assert code == 2
+        assert said in err
+
+
 @pytest.mark.slow
 def test_a_walled_goal_is_exit_3(crossed, command, tmp_path):
     walled(crossed, 15).save(tmp_path / "maps")
