@@ -224,7 +224,8 @@ ROWS = [
     ("too few to hold some out", lambda s: fitted(s, hold_out=0.9)),
     ("must read like", lambda _: Target.parse("mean_gps")),
     ("finite number", lambda _: Target.parse("detour<=x")),
-    ("outcome must be 'mean_NAME of a metric', 'detour'", lambda _: Target.parse("gps>=0.8")),
+    ("outcome must be 'mean_NAME of a metric', 'detour'", lambda _: Target.parse("noise>=0.8")),
+    ("outcome must be 'mean_gps', 'detour'", lambda _: Target.parse("gps>=0.8")),
     ("must be .* 'mean_lidar', got 'mean_risk'", lambda s: targets(s, "mean_risk>=0.5")),
     (
         "you mean 'mean_noise'",

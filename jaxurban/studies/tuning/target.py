@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxurban.checks import finite, one_of, typed
 from jaxurban.errors import InputError
+from jaxurban.metrics.registry import METRICS
 
 MEAN = "mean_"  # of a metric along a route
 DETOUR = "detour"
@@ -39,7 +40,8 @@ class Target:
     def __post_init__(self) -> None:
         """Check outcome, sense and value; ``mean_NAME`` is checked against the maps' metrics by `fit_targets`."""
         if not self.outcome.startswith(MEAN):
-            one_of("outcome", self.outcome, ("mean_NAME of a metric", DETOUR, "length_m", "people"))
+            mean = f"{MEAN}{self.outcome if self.outcome in METRICS else 'NAME of a metric'}"
+            one_of("outcome", self.outcome, (mean, DETOUR, "length_m", "people"))
         one_of("the sense of a target", self.sense, (">=", "<="))
         if not np.isfinite(self.value):
             raise InputError(f"target {str(self)!r} must end in a finite number")
