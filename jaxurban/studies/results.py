@@ -57,8 +57,19 @@ class StudyResult(Result):
         return figures[name](**form)
 
 
-def with_units(tables: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+class Tables(dict[str, pd.DataFrame]):
+    """Tables by name."""
+
+    def __missing__(self, name: str) -> pd.DataFrame:
+        """Raise InputError, which names those that the study has."""
+        raise InputError(
+            f"the study has no table {name!r}, whose routes it did not find or was not asked for: it has "
+            f"{', '.join(self)}"
+        )
+
+
+def with_units(tables: dict[str, pd.DataFrame]) -> Tables:
     """Return tables whose attributes hold `UNITS`."""
     for table in tables.values():
         table.attrs["units"] = UNITS
-    return tables
+    return Tables(tables)

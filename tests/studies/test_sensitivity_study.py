@@ -595,6 +595,9 @@ def test_a_route_that_nothing_joins_is_studied_next_at_the_altitude_that_joins_i
         {"made": maps}, tmp_path / "out", queries, altitudes_m=[20.0], progress=False
     )
     assert "as no path was found" in str(found.decided)
+    assert found.rows.note[0].rstrip(".") in found.decided.facts["not decided"]
+    with pytest.raises(ju.InputError, match=r"no table 'ways'.*: it has routes"):
+        len(found.tables["ways"])
     command = found.decided.next_command
     assert "--altitude 60 " in command
     assert f"--start {start[0]:.6f},{start[1]:.6f}" in command

@@ -133,7 +133,7 @@ class Sensitivity(StudyResult):
         routes = summary.routes_of(self.rows, self.instances)
         result = {"routes": self.rows}
         if routes.empty:
-            return result
+            return with_units(result)
         result["weights"] = summary.weights_table(routes, self.settings.factors)
         result["summary"] = summary.summarise(result["weights"], self.settings.wrong)
         result["together"] = summary.act_together(routes)
@@ -152,7 +152,9 @@ class Sensitivity(StudyResult):
     @cached_property
     def decided(self) -> Conclusion:
         """What is decided, what is not, and what to run next."""
-        verdicts = [Verdict(WeightVerdict.NO_PATH, n=len(self.rows), needed=math.nan)]
+        notes = self.rows.note.dropna().value_counts().index  # the most frequent one first
+        why = {"why": str(next(iter(notes), "the report says why")).rstrip(".")}
+        verdicts = [Verdict(WeightVerdict.NO_PATH, n=len(self.rows), needed=math.nan, facts=why)]
         if "weights" in self.tables:
             ended = dict.fromkeys(chain(*map(ended_sides, self.maps.values())))
             verdicts = verdicts_of(self.tables, self.route, self.settings, ended)

@@ -55,7 +55,7 @@ class WeightVerdict(Enum):
     )
     NO_WAY = "no factor of {what} from {low:g} to {high:g} sends the drone another way"
     OTHER_MAPS = "with {first} {size} of the routes change, and keeping a route there costs {kept:.2g} % more ({n})"
-    NO_PATH = "which weights matter, as no path was found ({n})"
+    NO_PATH = "which weights matter, as no path was found ({n}: {why})"
     TOGETHER = (
         "{what} act together by {size}: so much more they cost, both {wrong:g} times wrong, in opposite directions "
         "than in the same one ({n})"
