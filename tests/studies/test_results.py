@@ -121,7 +121,10 @@ def test_tables_have_units_and_pictures_show_themselves_and_fill_a_cell_of_anoth
     ("names", "what"),
     [
         (["study"], "by bootstrap over instances, of which *n* count"),
-        (["sensitivity"], "by bootstrap over pairs of places, as many as the first table says"),
+        (
+            ["sensitivity", "intervals"],
+            "by bootstrap over pairs of places, as many as the first table says",
+        ),
         (["compare"], "by bootstrap over the {pairs} pairs of places"),
         (["targets"], "by bootstrap over the *n* pairs of ends"),
         (["imitation", "held_out"], "by bootstrap over {fit.num_tested} pairs of ends"),

@@ -14,6 +14,7 @@ import jaxurban as ju
 from jaxurban.planners.cost import STEPS
 from jaxurban.studies.figures.sensitivity import plot_breakpoint_routes
 from jaxurban.studies.queries import RouteQuery
+from jaxurban.studies.reports.sensitivity import sensitivity_report
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_breakpoints
 from jaxurban.studies.weights.one_route import SAME_WAY
@@ -237,6 +238,16 @@ def test_a_given_route_along_the_border_is_cautioned_in_the_first_lines(found, t
     ended = {"known_bounds_m": wide[city].grid.bounds_m}
     ends = {city: ju.MetricMaps(found.maps[city].ds.assign_attrs(ended))}
     assert "region.bounds" not in replace(pinned, maps=ends).decided.facts["next"]
+
+
+def test_the_report_of_one_route_has_no_words_on_what_only_several_have(found):
+    report = sensitivity_report(found).text
+    for words in ("tables/pairs", "brackets", "*heights*", "bootstrap"):
+        assert words not in report
+    more = found.instances.assign(instance=7)
+    several = replace(found, route=None, instances=pd.concat([found.instances, more]))
+    assert "`tables/pairs` compares each two" in sensitivity_report(several).text
+    assert "by bootstrap over pairs of places" in sensitivity_report(several).text
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from jaxurban.draw.write import (
     ResultReport,
     bullets,
     files_of,
+    fill,
     framed,
     joined_with_and,
 )
@@ -70,6 +71,13 @@ GIVEN = (
     "The routes are those that were given: "
     "means are over them, each once, and say nothing about others."
 )
+BRACKETS = Markdown(
+    "In brackets stands the interval (the last section says how it is made). That of regrets is the one of the first "
+    "lines, and holds for all weights of a part of the routes at once; the others are each for itself. The rows stand "
+    "by regret, which is no rank: the first lines name, of each weight that is behind another, the largest decided "
+    "difference; `tables/pairs` compares each two, and may hold further ones that are decided."
+)
+HEIGHTS_SAID = Markdown("; *heights*, those of all buildings, drawn within their uncertainty")
 MOST_REASONS = 3
 MORE_ROUTES = 30  # to ask for after one, and at least
 
@@ -285,10 +293,18 @@ def sensitivity_report(result: Sensitivity) -> ResultReport:
             with_held_weights(result.instances, result.maps), result.maps.values()
         ),
         "origin": SAMPLED if result.is_sampled else GIVEN,
-        "fewest": FEWEST_GROUPS,
-        "fewest_runs": FEWEST_RUNS,
-        "small": joined_with_and(small) if small else "none",
+        "brackets": "",
+        "intervals": "",
+        "heights": HEIGHTS_SAID if result.settings.num_heights else "",
     }
+    if len(result.instances) > 1:
+        fields["brackets"] = BRACKETS
+        fields["intervals"] = fill(
+            "studies/templates/intervals",
+            fewest=FEWEST_GROUPS,
+            fewest_runs=FEWEST_RUNS,
+            small=joined_with_and(small) if small else "none",
+        ).strip()
     key = study_key(result.rules, result.maps, result.instances)
     return ResultReport(
         "studies/templates/sensitivity", fields, tables, figures, key=key, decided=result.decided
