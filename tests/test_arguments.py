@@ -950,6 +950,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
             "-o": Case("path.txt", refused="path.txt"),
             "--simplify": "30",
             "--mission end": Case("return", ("-o", "{out}.plan")),
+            "--mission autopilot": Case("ardupilot", ("-o", "{out}.plan")),
             "--device": DEVICE,
             "--json": JSON,
         },

@@ -635,7 +635,7 @@ def test_a_folder_is_named_in_provenance_by_names_and_contents(tmp_path):
 def test_what_cannot_be_joined_is_refused(tmp_path, monkeypatch):
     folder = tmp_path / "town"
     folder.mkdir()
-    with pytest.raises(ju.InputError, match="holds no object of CityGML or CityJSON"):
+    with pytest.raises(ju.InputError, match="is empty: name the file of buildings"):
         ju.City.from_files(folder)
     written(folder / "a.gml", citygml(thing(labelled(HOUSE))))
     written(folder / "b.gml", citygml(thing(labelled(HOUSE)), srs="EPSG:25833"))

@@ -164,7 +164,7 @@ TWICE = f'WKT,height,height\n"{shapely.Polygon(RING).wkt}",40,9\n'.encode()
         (buildings, "cut.geojsonl", ROWS[:-60], "cut short.*give a whole one"),
         (buildings, "trees.geojson", of([SQUARE.centroid], crs=WGS84), "holds no building"),
         (buildings, "city.dwg", b"", r"'\.dwg'.*\.pbf.*\.gpkg.*\.tif"),
-        (buildings, "folder", Path.mkdir, "holds no object of CityGML or CityJSON and no outlines"),
+        (buildings, "folder", Path.mkdir, "is empty: name the file of buildings"),
         *(
             (buildings, "roofs.tif", pixels(1, value), " 1 cells")
             for value in (np.nan, 1001, -9999)
