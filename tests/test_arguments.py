@@ -482,7 +482,7 @@ TABLE: dict[str, dict[str, Any]] = {
         "title": "GPS downtown",
         "ax": Case(5, refused="ax must be one cell"),
         "cmap": Case("none such", refused="cmap must be"),
-        "paths": Case(5, refused="paths must be paths"),
+        "paths": Case(5, refused="paths must be"),
     },
     "MetricMaps.save": {"layers": ("hdop",)},
     "PlannedPath.save": {

@@ -231,7 +231,7 @@ def draw_maps(
     if not fits:
         colours = colours and replace(colours, label=colours.label.partition("\n")[0])
         bars = [bar and replace(bar, label="") for bar in bars]
-    if len(panels) == 1 and form.get("ax") is not None:
+    if len(panels) == 1 and form.get("ax") is not None and not panels[0].foot:
         # As wide as the map, which a low cell makes narrower than the cell.
         bars, colours = [colours], None
     foot_in = LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)

@@ -39,6 +39,9 @@ from jaxurban.settings import FlownBy, Vehicle, as_tuple, iso_utc, not_negative,
 
 MOST_HOME_OFF_M = 20.0  # by which elevation models of a place may differ
 CHANGED = "The files that the maps were made of have changed since: what stands now is not judged."
+ZONES_NOT_COUNTED = (
+    "No-fly zones are not counted in these returns: look whether a straight way home crosses one."
+)
 IN_THE_AIR = "a path begins and ends in the air, so its climb and landing are not judged: check the .plan of it"
 
 
@@ -178,6 +181,9 @@ def check(
     flight, numbers = flown[max(found, key=lambda name: len(found[name]))]
     not_judged = as_one(unknown)
     returns = pd.concat(departures)
+    lines = return_lines(returns, flight, ceiling_m)
+    if lines and num_in_force:
+        lines.append(ZONES_NOT_COUNTED)
     return MissionCheck(
         findings=as_one(found),
         not_judged=[
@@ -191,7 +197,7 @@ def check(
         zones=limits.zones,
         left_out=left_out(maps, city),
         return_altitudes=by_item(returns),
-        return_lines=return_lines(returns, flight, ceiling_m),
+        return_lines=lines,
         unjudged=as_one(unjudged),
     )
 

@@ -21,9 +21,17 @@ if TYPE_CHECKING:
     import geopandas as gpd
 
 
+NO_FOLDERS = (".png", ".pdf", ".svg", ".nc", ".tif", ".tiff")
+
+
 def save_maps(maps: MetricMaps, folder: Path, layers: Sequence[str]) -> None:
     """Write maps under a folder; arguments and errors as of `MetricMaps.save`."""
     # All errors of the arguments are raised before anything is written, also the one of a layer that the maps lack.
+    if folder.suffix.lower() in NO_FOLDERS:
+        raise InputError(
+            f"maps are written into a folder, and {str(folder)!r} is the name of a file: leave {folder.suffix} out "
+            "(maps.plot().savefig writes a picture, maps.ds.to_netcdf a NetCDF)"
+        )
     _check_can_be_opened(maps)
     geotiffs = geotiff_paths(maps.ds, folder, layers)
     with Workspace.open(folder, "maps", is_shared=True, is_mended=True) as workspace:

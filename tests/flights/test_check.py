@@ -314,6 +314,9 @@ def test_a_zone_counts_in_its_hours_and_its_heights(open_scene):
     assert kinds_of(checked(open_scene, mission, time=ON)) == ["zone"]
     assert kinds_of(checked(open_scene, mission, time=[OFF, ON])) == ["zone"]
     assert kinds_of(checked(open_scene, mission, time=OFF)) == []
+    for time, is_said in ((ON, True), (OFF, False)):
+        lines = checked(open_scene, mission, time=time).return_lines
+        assert any("No-fly zones are not counted" in line for line in lines) == is_said
 
 
 def test_heights_whose_zero_nobody_names_are_not_judged(scene):

@@ -387,7 +387,8 @@ def shown_tables(tables: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     if "ways" in tables:
         ways = tables["ways"].rename(columns={"weight_name": "weight"})
         at_edge = ways.at_edge.map({0.0: "no", 1.0: "yes"}).fillna("")
-        at_edge = ways.edge_sides.where(ways.edge_sides.fillna("") != "", at_edge)
+        sides = ways.edge_sides.astype(object)  # numbers alone where no route goes another way
+        at_edge = sides.where(sides.notna() & (sides != ""), at_edge)
         result["ways"] = ways.assign(at_edge=at_edge).drop(columns="edge_sides")
     return {name: in_percent(table) for name, table in result.items()}
 
