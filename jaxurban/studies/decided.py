@@ -105,6 +105,7 @@ class Ranking:
         from 0 up), ``low``, ``high``, ``n`` and ``needed``; first is before second where this is 0.
       unit: of the sizes.
       n: number of groups of runs.
+      num_common: number of those in which all have a value.
     """
 
     measure: str
@@ -113,6 +114,7 @@ class Ranking:
     pairs: pd.DataFrame
     unit: str
     n: int
+    num_common: int
 
     @property
     def table(self) -> pd.DataFrame:
@@ -149,9 +151,10 @@ class Ranking:
             verdicts.append(Verdict(kind, what, *size, row.n, self.unit, noun, row.needed, facts))
 
         # And those that are equal, and those that have no runs in common.
-        needed = math.inf if self.n >= FEWEST_GROUPS else FEWEST_GROUPS
+        num = self.num_common
+        needed = math.inf if num >= FEWEST_GROUPS else FEWEST_GROUPS
         verdicts += [
-            Verdict(SharedVerdict.EQUAL, each, 0.0, n=self.n, noun=noun, needed=needed, facts=facts)
+            Verdict(SharedVerdict.EQUAL, each, 0.0, n=num, noun=noun, needed=needed, facts=facts)
             for each in self.equal
         ]
         apart = self.pairs[self.pairs.n == 0]
@@ -225,7 +228,9 @@ def ranked(measures: Mapping[str, Measure], clusters: Clusters) -> dict[str, Ran
         ends = pairs[["low", "high"]].clip(-measure.largest, measure.largest)
         pairs[["low", "high"]] = ends
         names = tuple(map(str, columns[name]))
-        result[name] = Ranking(name, names, equal[name], pairs, measure.unit, clusters.num_groups)
+        num_common = clusters.count(measure.values.notna().all(axis=1).to_numpy())
+        about = measure.unit, clusters.num_groups, num_common
+        result[name] = Ranking(name, names, equal[name], pairs, *about)
     return result
 
 

@@ -55,7 +55,9 @@ class MapVerdict(Enum):
         "these are up to {apart_m:,.0f} m away; B closes {closed:,} of A's, and {lost:,} have no way on B"
     )
     KEPT = "routes of A that B leaves open cost {size} more on B than B's own, on average ({n})"
-    KEPT_OPEN = "whether routes of A cost more on B than B's own, on average, is open: {size} ({n})"
+    KEPT_OPEN = (
+        "how much more routes of A cost on B than B's own, on average, is open: {size} ({n})"
+    )
     NO_ROUTES = "whether routes change: none were planned"
     ONE_TIME = (
         "how much of it is of this one time, {time}, where a single satellite that rises or sets may make all of it: "

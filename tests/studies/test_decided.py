@@ -78,6 +78,15 @@ def test_what_is_equal_is_one_and_what_is_worse_is_behind_and_ties_share_a_rank(
     assert scattered.sentence.endswith("; no number of routes would change that")
 
 
+def test_what_is_equal_on_few_common_runs_is_said_of_these_alone():
+    costs = pd.DataFrame({name: [2.0, *[np.nan] * 19] for name in ("good", "twin")})
+    ranking = ranked({"cost": Measure(costs, is_ratio=True)}, Clusters(np.arange(20)))["cost"]
+    (equal,) = ranking.verdicts(Kind.MORE, "routes")
+    assert equal.n == 1
+    assert "at most" not in equal.sentence
+    assert not equal.is_decided
+
+
 def test_of_fewer_runs_than_have_an_interval_nothing_is_decided():
     verdicts = ranking_of(num=FEWEST_GROUPS - 1, good=1.0, bad=2.0).verdicts(Kind.MORE, "routes")
     assert not any(each.is_decided for each in verdicts)
