@@ -172,6 +172,7 @@ def test_a_route_that_fails_is_a_row_with_its_status(alpha, folders, weight_stud
 
 def test_the_report_names_every_figure_and_every_table_is_written(weight_study):
     report = (weight_study.folder / "report.md").read_text()
+    assert "\n- Intervals are 95 %" in report  # a list, and no line of one
     shown = {part.split(")")[0] for part in report.split("](")[1:]}
     assert shown == {
         f"figures/{each.name}" for each in (weight_study.folder / "figures").glob("*.png")

@@ -299,12 +299,13 @@ def sensitivity_report(result: Sensitivity) -> ResultReport:
     }
     if len(result.instances) > 1:
         fields["brackets"] = BRACKETS
-        fields["intervals"] = fill(
+        lines = fill(
             "studies/templates/intervals",
             fewest=FEWEST_GROUPS,
             fewest_runs=FEWEST_RUNS,
             small=joined_with_and(small) if small else "none",
-        ).strip()
+        )
+        fields["intervals"] = Markdown(lines.strip())
     key = study_key(result.rules, result.maps, result.instances)
     return ResultReport(
         "studies/templates/sensitivity", fields, tables, figures, key=key, decided=result.decided
