@@ -204,7 +204,8 @@ def wish_verdicts(
             row = row | {"with_wish_low": np.nan, "with_wish_high": np.nan, "needed": np.nan}
             kind = WishVerdict.SEEN
         verdicts.append(_wish_verdict(kind, str(target), row, "with_wish", row["needed"], noun))
-    if is_tested and not is_kept:
+    has_changed = tested["change"].any()  # else the weights are those without the wish
+    if is_tested and not is_kept and has_changed:
         wished = [target.outcome for target in targets]
         for outcome, row in zip([*wished, *tested["what"][len(targets) :]], rows, strict=True):
             label = outcome_label(outcome)
