@@ -80,8 +80,6 @@ def paths_in(paths: Paths) -> list[PlannedPath]:
         return [paths]
     if isinstance(paths, Mapping):
         paths = [*paths.values()]
-    if not isinstance(paths, Iterable):
-        raise InputError(f"paths must be paths from plan, got {paths!r}")
     planned = [path for path in paths if path is not None]
     for path in planned:
         if not isinstance(path, PlannedPath):
